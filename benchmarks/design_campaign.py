@@ -17,6 +17,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 from multiprocessing import get_context
@@ -39,7 +40,7 @@ from warp_plate.plate.designs import scene_phasors
 # Steps of the differences, as parts of the range of a number.
 STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
 # Steps where bounds nearly repeat: their slopes change within such distances.
-FINE_STEPS = (1e-4, 5e-5, 2e-5, 1e-5)
+FINE_STEPS = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 # Norm of slopes below which there are none: limits that do not depend on what is free.
 LEAST = 1e-9
 # Where these do not tell, polynomials of a degree through so many values within distances average rounding.
@@ -67,19 +68,14 @@ def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
         errors = []
         for name, direction in directions:
             direction = direction / np.linalg.norm(direction)
-            ends = {step: _difference(panel, numbers, direction, step) for step in STEPS}
-            richardson = np.array([
-                ends[fine] + (ends[fine] - ends[rough]) / ((rough / fine) ** 2 - 1)
-                for rough, fine in pairwise(STEPS)
-            ])  # fmt: skip
             scale = np.maximum(sizes, LEAST)
-            off = np.abs(richardson - every @ direction) / scale
+            off = np.abs(_richardson(panel, numbers, direction, STEPS) - every @ direction) / scale
             for distance in DISTANCES if off.min(axis=0).max() > 5e-7 else ():
                 fitted = _fitted(panel, numbers, direction, distance)
                 off = np.vstack([off, np.abs(fitted - every @ direction) / scale])
-            for step in FINE_STEPS if off.min(axis=0).max() > 5e-7 else ():
-                slopes = _difference(panel, numbers, direction, step)
-                off = np.vstack([off, np.abs(slopes - every @ direction) / scale])
+            if off.min(axis=0).max() > 5e-7:
+                finer = _richardson(panel, numbers, direction, FINE_STEPS)
+                off = np.vstack([off, np.abs(finer - every @ direction) / scale])
             labels = ["value", *(f"limit {index}" for index in range(len(value.excess)))]
             errors += [(f"{name}: {label}", float(error)) for label, error in zip(labels, off.min(axis=0), strict=True)]
         return number, "plain" if not value.excess.size else "limited", errors
@@ -90,6 +86,15 @@ def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
 def _difference(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, step: float) -> np.ndarray:
     one, other = (panel.evaluate(numbers + sign * step * direction, sloped=False) for sign in (1, -1))
     return np.append(one.smooth - other.smooth, one.excess - other.excess) / (2 * step)
+
+
+def _richardson(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, steps: Sequence[float]) -> np.ndarray:
+    """Return slopes extrapolated from the differences with each two steps."""
+    ends = [_difference(panel, numbers, direction, step) for step in steps]
+    ratios = [(rough / fine) ** 2 - 1 for rough, fine in pairwise(steps)]
+    return np.array(
+        [fine + (fine - rough) / ratio for (rough, fine), ratio in zip(pairwise(ends), ratios, strict=True)]
+    )
 
 
 def _fitted(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, distance: float) -> np.ndarray:
