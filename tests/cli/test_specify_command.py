@@ -56,7 +56,8 @@ def test_what_would_do_is_that_of_the_best_frequency(command, tmp_path):
     assert "1.46 times the limits would do at 250 Hz, 0.0732 N" in " ".join(printed.split())
 
 
-def test_the_worth_of_larger_limits_is_printed(command):
+def test_the_worth_of_larger_limits_is_printed(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     changes = ["specification.frequency=250.0", "specification.limits.force=0.09", "grid.modal_density=0.6"]
     changes = [f"--set={change}" for change in changes]
     printed = " ".join(output_of(command("specify", "console", *changes, "--no-pictures")).split())
@@ -66,7 +67,8 @@ def test_the_worth_of_larger_limits_is_printed(command):
     assert float(gains[0][0]) == pytest.approx(float(gains[1][0]), rel=0.02)
 
 
-def test_json_has_what_is_in_the_way(command):
+def test_json_has_what_is_in_the_way(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     changes = ["--set", "specification.frequency=250.0", "--set", "specification.guard=0.0"]
     record = json.loads(output_of(command("specify", "console", *changes, "--no-pictures", "--json")))
     assert record["feasible"] is False

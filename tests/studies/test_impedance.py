@@ -73,8 +73,9 @@ def test_a_coil_around_a_hole():
     np.testing.assert_allclose(around.responses[0, 0], whole.responses[0, 0], rtol=0.02)
 
 
-def test_json_files_and_text(command, found, tmp_path):
+def test_json_files_and_text(command, found, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "coils.toml").write_text(panel().to_toml(), encoding="utf-8")
     words = ["frf", str(tmp_path / "coils.toml"), "--quantity", "impedance", "--range", "30:120", "--out", "z.svg"]
     record = json.loads(output_of(command(*words, "--json", "--to", "csv", "--to", "hdf5")))
