@@ -1,6 +1,7 @@
 """Splines along one side of a plate against SciPy's."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.interpolate import BSpline
 
 from warp_plate.effects.edges import Edges
 from warp_plate.modal.spaces import splines as of_sides
+from warp_plate.modal.spaces.chords import LocalSplines
 from warp_plate.modal.spaces.splines import make_splines
 from warp_plate.modal.spaces.tensor_splines import _places
 from warp_plate.plate.outline_grid import outline_grid
@@ -27,6 +29,8 @@ def test_splines_are_those_of_scipy(ends: tuple[str, str], degree: int) -> None:
     for derivative in range(2):
         expected = (curves.derivative(derivative) if derivative else curves)(x).T[kept]
         assert np.allclose(splines.values(x, derivative), expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+    local = LocalSplines(replace(splines, left_out=(0, 0))).dense(x).T[kept]
+    assert np.allclose(local, splines.values(x), rtol=0, atol=1e-13)
     whole = curves.antiderivative()
     expected = (whole(x) - whole(np.full(x.shape, 0.03))).T[kept]
     assert np.allclose(splines.integrals(np.full(x.shape, 0.03), x), expected, rtol=0, atol=1e-15)

@@ -71,15 +71,15 @@ def drive_for_cases(
         return result
 
     nominal_frequency, nominal = starts[0]
-    tries, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
-    chosen = min(range(len(tries)), key=lambda k: tries[k][0])
-    frequency, (least, robust) = float(places[chosen]), tries[chosen]
+    tried, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
+    chosen = min(range(len(tried)), key=lambda k: tried[k][0])
+    frequency, (least, robust) = float(places[chosen]), tried[chosen]
     if chosen:
         place, value, _ = minimum_near(lambda x: rough(x, robust)[0], places[1:], chosen - 1, 1e-3, ROBUST_TRIED)
         frequency = place if value < least else frequency
-    tried = at(frequency)
-    robust = _drive_for_all(tried, scaled, robust)[1]
-    finer = [refined(one, {nominal_frequency, frequency}, FINER) for one in tried]
+    there = at(frequency)
+    robust = _drive_for_all(there, scaled, robust)[1]
+    finer = [refined(one, {nominal_frequency, frequency}, FINER) for one in there]
     last = solve_together(_rotated(finer, robust), scaled, start=robust, searches=0)
     robust = last.drive if math.isfinite(last.scale) else robust
     rows = []
