@@ -20,7 +20,7 @@ from warp_plate.quantities.sound_levels import POWER_REFERENCE
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fit import Design, DesignLimits
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import largest_ratio, unit_energy_basis
+from warp_plate.solve.response import has_full_rank, largest_ratio, unit_energy_basis
 
 # Form of each quantity: of root mean squares over the mass of the target, of others, and of efforts.
 AMPLITUDES = {"velocity": "target", "displacement": "displacement", "acceleration": "acceleration"}
@@ -142,11 +142,9 @@ def target_mass(forms: PlateForms) -> float:
 
 def _is_unlimited(effort: np.ndarray, moved: np.ndarray) -> bool:
     """Return whether some drives have a part in a form (2M, 2M) of motion, and none in one of an effort."""
-    of_effort, of_motion = float(np.trace(effort)), float(np.trace(moved))
-    if not (of_effort > 0 and of_motion > 0):
-        return of_motion > 0
-    ranks = [unit_energy_basis(form).any(axis=0).sum() for form in (effort, effort / of_effort + moved / of_motion)]
-    return bool(ranks[0] < ranks[1])
+    basis = unit_energy_basis(moved)
+    basis = basis[:, basis.any(axis=0)]
+    return bool(basis.size) and not has_full_rank(effort, basis)
 
 
 def _of(form: np.ndarray, phasors: np.ndarray) -> float:
