@@ -28,8 +28,8 @@ from warp_plate.scene.errors import SceneError
 Key = tuple[Literal["aim", "rest"], int]
 # What a program scales: the levels elsewhere, the limits of the actuators, or these without any level elsewhere.
 Scaled = Literal["elsewhere", "actuators", "actuators alone"]
-# Largest violation between the points of a program, of the least part of the limits, at samples alone; and rounds.
-TOLERANCE, OF_EFFORT, COARSE, ROUNDS = 1e-8, 1e-6, 1e-4, 60
+# Largest violation between the points of a program, at samples alone; and rounds.
+TOLERANCE, COARSE, ROUNDS = 1e-8, 1e-4, 60
 # Relative gain of a scale by a new search that is worth more rounds, most of such searches, and their steps at first.
 GAIN, SEARCHES, FEW_STEPS, FEW_ROUNDS = 1e-5, 3, 1, 8
 # Growth of the scale from which on a search begins anew: points that chase a zero through a target make it ever larger.
@@ -58,9 +58,10 @@ class Tone:
     rotation: float = 0.0  # phase lag [rad] of the targets' motion whose phase is 0
     reach: float = 1.0  # multiple of the wanted levels that programs ask for; relative levels follow
     points: dict[Key, np.ndarray] = field(default_factory=dict)  # points of aims and rests in programs
-    # Rows (points, actuators) of points of programs, and (samples, actuators) of regions by their identity.
+    # Rows (points, actuators) of points of programs; (samples, actuators), and ends, of regions by their identity.
     _known: dict[Key, np.ndarray] = field(default_factory=dict, init=False)
     _samples: dict[int, np.ndarray] = field(default_factory=dict, init=False)
+    _ends: dict[tuple[int, bytes, float], tuple[float, tuple[float, ...]]] = field(default_factory=dict, init=False)
 
     @cached_property
     def accelerations(self) -> np.ndarray:
@@ -84,9 +85,9 @@ class Tone:
 
     def rows(self, points: np.ndarray) -> np.ndarray:
         """Return (points, actuators) accelerations at points (points, 2) [m] under the actuators' largest drives."""
-        return self._at_points(self._coefficients, points)
+        return self._at(self._coefficients, points)
 
-    def _at_points(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def _at(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
         parts = np.concatenate([coefficients.real, coefficients.imag], axis=1)
         real, imaginary = np.split(self.plate.space.sums_at_points(parts.T, points).T, 2, axis=1)
         return np.asarray(real + 1j * imaginary)
@@ -120,12 +121,12 @@ class Tone:
         self,
         scaled: Scaled,
         level: float = 1.0,
-        between: bool = True,
+        slack: float | None = TOLERANCE,
         start: np.ndarray | None = None,
         searches: int = SEARCHES,
     ) -> LeastScale:
         """Return the least scale for this tone alone, see :func:`solve_together`."""
-        return solve_together([self], scaled, level, between, start, searches)
+        return solve_together([self], scaled, level, slack, start, searches)
 
     def program(self, scaled: Scaled, level: float) -> tuple[np.ndarray, list[np.ndarray], list[Block]]:
         """Return the wanted rows (rows, actuators), the factors of wanted mean squares and the limited blocks."""
@@ -179,11 +180,10 @@ class Tone:
             self.points[key] = region.samples[:: max(1, len(region.samples) // first)]
         return self.points[key]
 
-    def add_points(self, result: LeastScale, scaled: Scaled, level: float, care: Care) -> bool:
+    def add_points(self, result: LeastScale, scaled: Scaled, level: float, care: Care, slack: float | None) -> bool:
         """Add points at which a drive falls short or passes its scale; return whether there are any."""
         added, scale, level = False, result.scale if scaled == "elsewhere" else 1.0, level * self.reach
-        fine = OF_EFFORT if scaled == "actuators" and self.requirements.rests else TOLERANCE
-        slack = COARSE if care == Care.SAMPLES else fine
+        slack = COARSE if slack is None or care == Care.SAMPLES else slack
         for index, aim in enumerate(self.requirements.aims):
             if aim.level.measure == "weakest":
                 measure = partial(shortfall, level * self.wanted[index], self._phase(aim))
@@ -218,7 +218,7 @@ class Tone:
 
     def _motion(self, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the (points,) complex accelerations [m/s²] under a drive at points (points, 2) [m]."""
-        return self._at_points((self._coefficients @ drive)[:, None], points)[:, 0]
+        return self._at((self._coefficients @ drive)[:, None], points)[:, 0]
 
     def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
         """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""
@@ -228,16 +228,13 @@ class Tone:
         return np.asarray(self._samples[id(region)] @ drive)
 
     def rotated(self, drive: np.ndarray) -> Tone:
-        """Return the tone with the rotation at which a drive moves the first target that has a phase, and with the
-        levels that it reaches there; its points are shared."""
-        rotation = self.rotation
+        """Return a copy with the rotation and the reach at which a drive moves targets; its points are shared."""
+        tone = copy(self)  # with what is computed already
         for index, aim in enumerate(self.requirements.aims):
             if self.fixed_phase(aim) is not None:
                 motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
-                rotation = float(-np.angle(motion) - aim.level.phase)
+                tone.rotation = float(-np.angle(motion) - aim.level.phase)
                 break
-        tone = copy(self)  # with what is computed already
-        tone.rotation = rotation
         if self.requirements.rests and self.requirements.relative.all():
             tone.reach = max(1.0, min(map(partial(tone._reached, drive), range(len(self.wanted)))))
         return tone
@@ -333,6 +330,8 @@ class Tone:
 
     def _end(self, region: Region, drive: np.ndarray, sign: float) -> tuple[float, tuple[float, ...]]:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
+        if (key := (id(region), drive.tobytes(), sign)) in self._ends:
+            return self._ends[key]
         unit = float(np.abs(self._sampled(region, drive)).max()) or 1.0
         measure: Values = partial(in_units, unit) if sign > 0 else partial(shortfall, unit, "free")
         peaks = self._peaks(region, drive, measure, Care.THOROUGH)
@@ -340,14 +339,15 @@ class Tone:
             peaks = np.concatenate([peaks, self._dips(region, drive, peaks)])
         sizes = np.abs(self.rows(peaks) @ drive)
         at = int(np.argmax(sign * sizes))
-        return float(sizes[at]), tuple(peaks[at].tolist())
+        self._ends[key] = float(sizes[at]), tuple(peaks[at].tolist())
+        return self._ends[key]
 
 
 def solve_together(
     tones: Sequence[Tone],
     scaled: Scaled,
     level: float = 1.0,
-    between: bool = True,
+    slack: float | None = TOLERANCE,
     start: np.ndarray | None = None,
     searches: int = SEARCHES,
 ) -> LeastScale:
@@ -357,7 +357,7 @@ def solve_together(
         tones: Tones with the same actuators.
         scaled: What is scaled; the bound holds for each tone's ``rotation``, which does not matter to one tone alone.
         level: Multiple of the wanted levels.
-        between: Let the drive keep its scale between the samples of the regions too, not only roughly at these.
+        slack: Largest violation between the samples of the regions, of the scale; None to look at samples alone.
         start: Drive (actuators,) to start from if the problem is not convex.
         searches: Most searches from the relaxation if the problem is not convex; 0 for none, without a bound.
     """
@@ -380,10 +380,10 @@ def solve_together(
         elif searches and result.scale > CHASED * first:
             drive = None  # others may lose less by the added points
             continue
-        added = [tone.add_points(result, scaled, level, care) for tone in tones]
-        while between and not any(added) and care < Care.THOROUGH:
+        added = [tone.add_points(result, scaled, level, care, slack) for tone in tones]
+        while slack is not None and not any(added) and care < Care.THOROUGH:
             care = Care(care + 1)
-            added = [tone.add_points(result, scaled, level, care) for tone in tones]
+            added = [tone.add_points(result, scaled, level, care, slack) for tone in tones]
         care = min(care, Care.QUICK)
         if not any(added) and (settled or drive is None):
             if drive is None or not searches:

@@ -10,7 +10,7 @@ from warp_plate.interrupts import check_interrupt
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import LeastScale
 from warp_plate.optimize.optimizer import minimum_near
-from warp_plate.problem.specified_drives import Scaled, Tone
+from warp_plate.problem.specified_drives import TOLERANCE, Scaled, Tone
 
 # Frequencies of a range that are tried, besides resonances, and the relative accuracy of the best one.
 TRIED, FREQUENCY_ACCURACY = 24, 1e-5
@@ -43,7 +43,7 @@ def _order(tone: Tone, result: LeastScale) -> tuple[bool, float]:
     """Return a key that sorts frequencies, the best first: by scale, or by effort where the levels are not reached."""
     if math.isfinite(result.scale):
         return False, result.scale
-    return True, tone.solve("actuators alone", between=False).scale
+    return True, tone.solve("actuators alone", slack=None).scale
 
 
 def _choose(tones: Sequence[Tone], scales: list[LeastScale], scaled: Scaled) -> int:
@@ -76,7 +76,8 @@ def _between(tones: Sequence[Tone], scales: Sequence[LeastScale], scaled: Scaled
     def scale(frequency: float) -> float:
         check_interrupt()
         one = replace(tone, frequency=frequency)
-        return sign * one.solve(scaled, between=requirements.phases_free, start=start, searches=0).scale
+        slack = TOLERANCE if requirements.phases_free else None
+        return sign * one.solve(scaled, slack=slack, start=start, searches=0).scale
 
     frequencies = np.array([one.frequency for one in tones])
     best, least, _ = minimum_near(scale, frequencies, chosen, FREQUENCY_ACCURACY, 30)

@@ -19,7 +19,8 @@ from warp_plate.scene.keys import resolved_key, value_of
 # Rounds of a drive for all cases of the tolerances, those of one of several frequencies that are tried for it, and how
 # many frequencies.
 ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 5
-NOTHING = 1e-7  # relative violation that counts as none, in programs
+# Relative violation that counts as none, in programs; and that of a case's best drive, of which the contrast is told.
+NOTHING, OF_RETUNED = 1e-7, 1e-5
 # Density of the splines of the responses in the cases.
 FINER = 1.0
 
@@ -87,7 +88,7 @@ def drive_for_cases(
         nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
         robust_levels = one.reached(robust)
         robust_level, robust_db = _level_and_contrast(one, robust_levels)
-        retuned = contrast_of(one, one.solve(scaled).scale, nearest_rest(robust_levels))
+        retuned = contrast_of(one, one.solve(scaled, slack=OF_RETUNED).scale, nearest_rest(robust_levels))
         met = one.is_met(robust, NOTHING)
         rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, retuned, met))
     return frequency, robust, rows
@@ -108,7 +109,7 @@ def _drive_for_all(
     least = math.inf
     for _ in range(rounds):
         check_interrupt()
-        result = solve_together(_rotated(tones, drive), scaled, between=False, start=drive, searches=0)
+        result = solve_together(_rotated(tones, drive), scaled, slack=None, start=drive, searches=0)
         if not result.scale < least * (1 - 1e-4):
             break
         least, drive = result.scale, result.drive

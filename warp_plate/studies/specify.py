@@ -35,6 +35,7 @@ PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
 # Relative violation of levels that counts as none; part of a certificate from which on it is named.
 VIOLATION, NAMED = 1e-6, 0.02
+OF_EFFORT = 1e-6  # largest violation by the drives whose part of the limits is reported
 # Density of the splines of the answer, and, relative to it, of those that errors are estimated with; and the error of
 # the answer over the difference.
 FINER, COARSER, CAUTION = 2.0, 1 / 1.3, 3.0
@@ -79,7 +80,7 @@ def specify(
         points = tones[-1].essential_points(scales[-1]) if tones and requirements.rests else {}
         tones.append(Tone(plate, requirements, float(frequency), largest, points=points))
         start = scales[-1].start if scales else None
-        scales.append(tones[-1].solve(scaled, between=False, start=start, searches=1))
+        scales.append(tones[-1].solve(scaled, slack=None, start=start, searches=1))
         if on_progress is not None:
             on_progress(done + 1, len(frequencies))
     tone, start = best_tone(tones, scales, scaled)
@@ -159,7 +160,7 @@ def _answer(
     limits = tone.largest * scene.unit_drives
     feasible = reached and result.scale <= 1 + NOTHING and tone.is_met(result.drive, VIOLATION)
     essential = replace(tone, points=tone.essential_points(result))
-    effort = essential.solve("actuators") if rests else result
+    effort = essential.solve("actuators", slack=OF_EFFORT) if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
     levels, in_phase = tone.reached(drive), 1.0 if reached else 1 / whole.scale
     ends = tone.errors(_other(tone, rough), drive, CAUTION)
@@ -233,7 +234,7 @@ def _excludes(tone: Tone, scaled: Scaled, error: float) -> bool:
     """
     if error > LARGEST_ERROR:
         return False
-    return tone.solve(scaled, 1 - 2 * error, between=False, searches=1).bound > 1 + 2 * error
+    return tone.solve(scaled, 1 - 2 * error, slack=None, searches=1).bound > 1 + 2 * error
 
 
 def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, LeastScale]]:
@@ -248,7 +249,7 @@ def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, 
     def fill(low: int, high: int) -> None:
         for k in {low, high} - results.keys():
             check_interrupt()
-            results[k] = tone.solve(scaled, PARETO[k], between=False, start=PARETO[k] * drive, searches=0)
+            results[k] = tone.solve(scaled, PARETO[k], slack=None, start=PARETO[k] * drive, searches=0)
         if relative and results[high].scale <= results[low].scale * (1 + SAME):
             results.update(dict.fromkeys(range(low, high), results[low]))
         elif high - low > 1:
@@ -264,17 +265,18 @@ def _effort(tone: Tone, level: float, effort: float) -> float:
     that for these levels, to which it is proportional where all levels elsewhere are relative."""
     if tone.requirements.relative.all():
         return level * effort
-    return tone.solve("actuators", level, between=False, searches=0).scale
+    return tone.solve("actuators", level, slack=None, searches=0).scale
 
 
 def _least_effort(known: tuple[float, float], others: Sequence[Tone]) -> tuple[float, float]:
     """Return the least multiple of the limits that meets the specification, and its frequency [Hz], of the ``known``
     one and those of other tones."""
-    efforts = [one.solve("actuators", between=False, searches=0).scale for one in others]
+    efforts = [one.solve("actuators", slack=None, searches=0).scale for one in others]
     if min(efforts, default=math.inf) >= known[0]:
         return known
     best = others[int(np.argmin(efforts))]
-    return min(known, (refined(best, {best.frequency}, FINER).solve("actuators").scale, best.frequency))
+    finer = refined(best, {best.frequency}, FINER)
+    return min(known, (finer.solve("actuators", slack=OF_EFFORT).scale, best.frequency))
 
 
 def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) -> list[Margin]:
