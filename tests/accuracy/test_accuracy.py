@@ -250,6 +250,14 @@ def test_a_grid_by_waves_is_chosen_where_no_error_is_known(panel):
     assert min(choice.scene.grid.nodes) > 12
 
 
+def test_a_small_patch_beside_an_edge_loads_the_grid_that_is_chosen(scene):
+    """Its patch lies in the half cell of nodes that are held, and the scene was refused."""
+    made = scene(size=(0.11, 0.26), actuators=[(0.1085, 0.109, 0.0067, 0.0073)], window=(0.0, 0.01), frequency=20.0)
+    tables = made.with_tables(effects={"stretching": {}}).model_dump(exclude={"grid"})
+    run = PlateSolver(Scene.from_tables(tables), "cpu").run(np.ones((1, 1), dtype=complex))
+    assert (run.energy > 0).all()
+
+
 @pytest.mark.slow
 def test_only_a_written_accuracy_is_refused(scene):
     """A tiny patch starts abruptly, and the window opens at once.

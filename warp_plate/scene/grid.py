@@ -70,6 +70,9 @@ class Record(Table):
 
 
 def grid_by_waves(size: tuple[float, float], wavelength: float) -> Grid:
-    """Return CELLS_A_WAVE cells in a bending wave [m], within limits, on a plate with these sides [m]."""
+    """Return CELLS_A_WAVE cells in a bending wave [m], within limits, on a plate with these sides [m].
+
+    Loads keep their moments, so that small patches beside an edge load nodes that can move.
+    """
     cells = [min(max(math.ceil(CELLS_A_WAVE * side / wavelength), FEWEST_CELLS), MOST_CELLS) for side in size]
-    return Grid(nodes=(cells[0] + 1, cells[1] + 1))
+    return Grid(nodes=(cells[0] + 1, cells[1] + 1), load="moments")
