@@ -62,6 +62,8 @@ NARROW = 0.3
 # Parts of a side: edges of layers nearer than the first count as one, and those nearer than the second are refused, for
 # splines between them are so stiff that rounding hides the plate.
 SAME, CLOSE = 1e-6, 1e-4
+# Part of a side: of lines of loads nearer than this one counts, for the same reason; this costs no digits elsewhere.
+BESIDE = 7e-4
 
 
 def plate_splines(
@@ -71,7 +73,11 @@ def plate_splines(
     places [m] where derivatives above a number of them jump."""
     length, degree = laminate.size[axis], _degree(laminate)
     ends, sides = ((edges.left, edges.right), (edges.bottom, edges.top))[:: 1 if axis == 0 else -1]
-    knots = [line for line in (*lines(laminate, axis, degree), *further) if line[1] < degree]
+    knots = [line for line in lines(laminate, axis, degree) if line[1] < degree]
+    for place, derivatives in further:
+        others = (0.0, length, *(other for other, continuous in knots if continuous <= derivatives))
+        if all(abs(place - other) > BESIDE * length for other in others):
+            knots.append((place, derivatives))
     for end, place in zip(ends, (0.0, length), strict=True):
         if any(_singular(end, side) for side in sides):
             sign = 1 if place == 0 else -1
