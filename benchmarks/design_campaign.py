@@ -40,9 +40,11 @@ from warp_plate.plate.designs import scene_phasors
 # Steps of the differences, as parts of the range of a number.
 STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
 # Steps where bounds nearly repeat: their slopes change within such distances.
-FINE_STEPS = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
-# Norm of slopes below which there are none: limits that do not depend on what is free.
-LEAST = 1e-9
+FINE_STEPS = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
+# Steps of one-sided differences.
+SIDE_STEPS = (1e-3, 4e-4)
+# Norm of slopes below which there are none: limits that do not depend on what is free, of which rounding is compared.
+LEAST = 1e-7
 # Where these do not tell, polynomials of a degree through so many values within distances average rounding.
 DEGREE, POINTS, DISTANCES = 11, 36, (2e-2, 6e-3, 2e-3, 6e-4)
 
@@ -112,19 +114,21 @@ def _fitted(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, distan
 def _one_sided(scene: Scene, number: int) -> list[tuple[str, float]]:
     """Return by how much a slope leaves the interval of the slopes of both sides."""
     panel, rng = FreePanel(scene), np.random.default_rng([number, 50])
-    middle, direction, step = panel.start(), rng.normal(size=panel.count), 1e-3
+    middle, direction = panel.start(), rng.normal(size=panel.count)
     direction /= np.linalg.norm(direction)
-    sides = (
-        [panel.evaluate(middle + sign * step * index * direction, sloped=False).least for index in range(4)]
-        for sign in (-1, 1)
-    )
-    left, right = (
-        sign * np.array([-11, 18, -9, 2]) @ values / (6 * step) for sign, values in zip((-1, 1), sides, strict=True)
-    )
     slopes = panel.evaluate(middle).slopes
-    slope, low, high = slopes @ direction, min(left, right), max(left, right)
-    kind = "one-sided, repeated" if right - left > 1e-4 * np.linalg.norm(slopes) else "one-sided, simple"
-    return [(kind, max(low - slope, slope - high, 0.0) / float(np.linalg.norm(slopes)))]
+    slope, size, excess = slopes @ direction, float(np.linalg.norm(slopes)), []
+    for step in SIDE_STEPS:
+        sides = (
+            [panel.evaluate(middle + sign * step * index * direction, sloped=False).least for index in range(4)]
+            for sign in (-1, 1)
+        )
+        left, right = (
+            sign * np.array([-11, 18, -9, 2]) @ values / (6 * step) for sign, values in zip((-1, 1), sides, strict=True)
+        )
+        excess.append(max(min(left, right) - slope, slope - max(left, right), 0.0) / size)
+    kind = "one-sided, repeated" if right - left > 1e-4 * size else "one-sided, simple"
+    return [(kind, min(excess))]
 
 
 def judged(scene: Scene, objective: str) -> tuple[float, float]:
