@@ -43,8 +43,8 @@ STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
 FINE_STEPS = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
 # Steps of one-sided differences.
 SIDE_STEPS = (1e-3, 4e-4)
-# Norm of slopes below which there are none: limits that do not depend on what is free, of which rounding is compared.
-LEAST = 1e-7
+# Norm of slopes, per range of a number, of which errors are parts at least: rounding of values shows in differences.
+LEAST = 1e-4
 # Where these do not tell, polynomials of a degree through so many values within distances average rounding.
 DEGREE, POINTS, DISTANCES = 11, 36, (2e-2, 6e-3, 2e-3, 6e-4)
 

@@ -23,8 +23,8 @@ from warp_plate.scene.model import Scene
 # Functions along each side, relative to those of other commands.
 DENSITY = 0.7
 # Energy of functions of a free outline that depend on the others: more than for one outline, so that what is left out
-# turns slowly with it.
-RANK = 1e-10
+# turns slowly with it; of less, rounding is seen in slopes.
+RANK = 1e-9
 # Steps of differences by the shape of a panel, against rounding: by the outline, whose functions turn with it, as a
 # part of the least interval between knots; by a side of a rectangle, whose functions only stretch, as a part of it.
 TURNED, STRETCHED = 7e-4, 2e-3

@@ -27,8 +27,8 @@ from warp_plate.plate.section import Laminate, laminate_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion
 
-# Step of differences, as a part of the range of a number.
-STEP = 1e-4
+# Steps of differences, as parts of the range of a number, and of the place of a layer, where sums over points cancel.
+STEP, LAYER_STEP = 1e-4, 1e-3
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from warp_plate.designing.functions import PanelFunctions
 from warp_plate.designing.mode_names import NamedModes
-from warp_plate.designing.numbers import STEP, NumberSlopes, PanelSlopes, panel_mass
+from warp_plate.designing.numbers import LAYER_STEP, STEP, NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import make_galerkin
@@ -311,7 +311,9 @@ class FreePanel:
                 return self._with_map(self._with_numbers(one, case), numbers)
 
             shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
-            step = self._functions.shape_step(self._low[index]) / width[index] if shape else STEP
+            step = LAYER_STEP if place is not None and place[0].startswith("effects.layers") else STEP
+            if shape:
+                step = self._functions.shape_step(self._low[index]) / width[index]
             slopes[:, self._mapped + index] = of.along(scene_at, share, step)
         return slopes
 
