@@ -179,8 +179,9 @@ def varied_scene(number: int) -> Scene:
         return scene
     panel = FreePanel(scene)
     # Limits near what the panel has.
-    passed = np.maximum(1 + panel.evaluate(panel.start(), sloped=False).excess, (1e-15, 1e-9))  # W without damping
-    sound, power = 60 + 10 * math.log10(passed[0]), float(passed[1])
+    passed = np.maximum(1 + panel.evaluate(panel.start(), sloped=False).excess, 1e-15)
+    # Without damping drives need no power but by rounding.
+    sound, power = 60 + 10 * math.log10(passed[0]), max(float(passed[1]), 1e-9)
     return scene.replace("design.limits", {"sound": sound, "power": power})
 
 
