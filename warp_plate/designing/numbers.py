@@ -17,18 +17,20 @@ import scipy
 
 from warp_plate.designing.functions import shape_of
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
+from warp_plate.effects.layers import Layer
 from warp_plate.modal.assemble import Galerkin, make_galerkin, patch_means, unit_loads
 from warp_plate.modal.coils import coil_numbers
 from warp_plate.modal.sensitivity.fields import FieldSlopes
 from warp_plate.modal.sensitivity.forms import PlateMatrices, plate_matrices
 from warp_plate.modal.spaces.edge_moments import Unlike
-from warp_plate.modal.spaces.integrals import SplineProducts
+from warp_plate.modal.spaces.integrals import Integrals, SplineProducts
 from warp_plate.plate.section import Laminate, laminate_of
+from warp_plate.scene.keys import value_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion
 
-# Steps of differences, as parts of the range of a number, and of the place of a layer, where sums over points cancel.
-STEP, LAYER_STEP = 1e-4, 1e-3
+# Step of differences, as a part of the range of a number.
+STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,24 @@ class NumberSlopes:
                 totals[key][:, axis] += slopes[:, index]
         return totals
 
+    def edged_layer(self, key: str) -> Layer | None:
+        """Return the layer at a key of the scene if it is a rectangle on a rectangular plate; None for others.
+
+        Slopes by its place come from its edges, and from :meth:`change_in_target`: in differences of sums over all
+        points they are less than rounding.
+        """
+        layer = value_of(self.scene, key) if key.startswith("effects.layers[") else None
+        return layer if layer is not None and layer.area and isinstance(self._space.rule, Integrals) else None
+
+    def change_in_target(self, after: Scene) -> np.ndarray:
+        """Return the changes (numbers,) by the mass of the target alone to a scene with a layer that has moved."""
+        moved = self._fields_over(self._space_of(after))
+        return moved.total_in_target(laminate_of(after)) - self._in_target
+
+    @cached_property
+    def _in_target(self) -> np.ndarray:
+        return self.of_fields.total_in_target(self._space.laminate)
+
     def _slopes_of_means(self, axis: int) -> np.ndarray:
         """Return (attachments, unknowns of the plate) slopes [1/m] of mean values by the patches' x (0) or y (1)."""
         side, slopes, moved = self.scene.plate.size[axis], list[np.ndarray](), list[PlateRegion]()
@@ -133,15 +153,21 @@ class NumberSlopes:
         changes = _numbers(attachments(after.terms(plate))) - _numbers(attachments(before.terms(plate)))
         return np.asarray((self._attached[:, first : first + len(changes)] * changes).sum(axis=(1, 2)))
 
-    def along(self, scene_at: Callable[[float], Scene], share: float, step: float = STEP) -> np.ndarray:
-        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, from :func:`stencils`; Unlike:
-        on either side functions of the outline are of other kinds."""
+    def along(
+        self,
+        scene_at: Callable[[float], Scene],
+        share: float,
+        step: float = STEP,
+        change: Callable[[Scene], np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, from :func:`stencils` and
+        :meth:`change` or another; Unlike: on either side functions of the outline are of other kinds."""
         unlike = None
         for points, weights in stencils(share, step):
             others = points != share  # there is no change
             pairs = zip(points[others].tolist(), weights[others], strict=True)
             try:
-                changes = [weight * self.change(scene_at(point)) for point, weight in pairs]
+                changes = [weight * (change or self.change)(scene_at(point)) for point, weight in pairs]
                 return np.sum(changes, axis=0)
             except Unlike as error:
                 unlike = error

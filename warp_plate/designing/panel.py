@@ -18,7 +18,7 @@ import numpy as np
 
 from warp_plate.designing.functions import PanelFunctions
 from warp_plate.designing.mode_names import NamedModes
-from warp_plate.designing.numbers import LAYER_STEP, STEP, NumberSlopes, PanelSlopes, panel_mass
+from warp_plate.designing.numbers import STEP, NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import make_galerkin
@@ -310,10 +310,12 @@ class FreePanel:
                 one = np.where(np.arange(shares.size) == index, point, shares)
                 return self._with_map(self._with_numbers(one, case), numbers)
 
+            if place is not None and (layer := of.edged_layer(place[0])) is not None:
+                by_edges = width[index] * of.of_fields.by_place(layer, place[1])
+                slopes[:, self._mapped + index] = by_edges + of.along(scene_at, share, change=of.change_in_target)
+                continue
             shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
-            step = LAYER_STEP if place is not None and place[0].startswith("effects.layers") else STEP
-            if shape:
-                step = self._functions.shape_step(self._low[index]) / width[index]
+            step = self._functions.shape_step(self._low[index]) / width[index] if shape else STEP
             slopes[:, self._mapped + index] = of.along(scene_at, share, step)
         return slopes
 

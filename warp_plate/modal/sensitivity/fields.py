@@ -6,13 +6,14 @@ of the target.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from warp_plate.effects.effect import DISPLACEMENT, Factors
+from warp_plate.effects.layers import Layer
 from warp_plate.modal.sensitivity.forms import PlateMatrices
 from warp_plate.modal.spaces.chords import Chords
 from warp_plate.modal.spaces.integrals import Integrals, SplineProducts, bending_terms
@@ -24,6 +25,8 @@ from warp_plate.plate.section import Laminate, bilinear
 STEP = 1e-30
 # Index of the mass per area among the fields, after Dx, D1, Dy and Dxy.
 MASS = 4
+# Distance from the edges of layers, as a part of the side, at which fields and functions beside them are taken.
+BESIDE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,10 @@ class _Part:
     def fields(self, laminate: Laminate, step: float = 0.0) -> np.ndarray:
         """Return (5, ...) fields at the points, or with a ``step`` their slopes by the factor of the thickness."""
         return self.rule.sampled(lambda x, y: self._fields_at(laminate, x, y, step))
+
+    def times(self, fields: np.ndarray) -> np.ndarray:
+        """Return the sums (numbers,) of slopes times fields (5, ...) at the points."""
+        return np.asarray(sum((fields[index] * slopes).sum(axis=(1, 2)) for index, slopes in self.slopes.items()))
 
     def _fields_at(self, laminate: Laminate, x: np.ndarray, y: np.ndarray, step: float) -> list[np.ndarray]:
         factors = laminate.factors_at(x, y)
@@ -67,9 +74,10 @@ class FieldSlopes:
 
     @cached_property
     def _parts(self) -> list[_Part]:
-        return [*self._of_plate(), *self._of_target()]
+        layers = [(chords, layer) for layer, (chords, _) in enumerate(self.space.layer_rules())]
+        return [*self._of_plate([(self.space.rule, None), *layers]), *self._of_target()]
 
-    def _of_plate(self) -> Iterator[_Part]:
+    def _of_plate(self, rules: Iterable[tuple[Integrals | Chords, int | None]]) -> Iterator[_Part]:
         count = self.space.unknowns
         by_density = [(one.mass + one.regions[0])[:count, :count] for one in self._slopes]
         bending = [one.bending[:count, :count] for one in self._slopes]
@@ -79,8 +87,7 @@ class FieldSlopes:
             for term in bending_terms([float(index == field) for field in range(MASS + 1)])
             if term.coefficient
         ]
-        layers = [(chords, layer) for layer, (chords, _) in enumerate(self.space.layer_rules())]
-        for rule, layer in [(self.space.rule, None), *layers]:
+        for rule, layer in rules:
             (of_mass,) = _at_points(self.space, rule, by_density, [DISPLACEMENT])
             by_field = {MASS: (of_mass + self._by_mass) * rule.weights}
             rows = _at_points(self.space, rule, bending, [term.factors for _, term in terms])
@@ -102,10 +109,33 @@ class FieldSlopes:
 
     def total(self, laminate: Laminate) -> np.ndarray:
         """Return the sums (numbers,) of slopes times the fields of a plate with layers of the same shapes."""
+        return self._total(self._parts, laminate)
+
+    def total_in_target(self, laminate: Laminate) -> np.ndarray:
+        """Return the part of :meth:`total` by the mass of the target alone."""
+        return self._total(self._of_target(), laminate)
+
+    def _total(self, parts: Iterable[_Part], laminate: Laminate) -> np.ndarray:
         total = np.zeros(len(self._slopes))
-        for part in self._parts:
-            fields = part.fields(laminate)
-            total += sum((fields[index] * slopes).sum(axis=(1, 2)) for index, slopes in part.slopes.items())
+        for part in parts:
+            total += part.times(part.fields(laminate))
+        return total
+
+    def by_place(self, layer: Layer, axis: int) -> np.ndarray:
+        """Return the slopes (numbers,) [1/m] by the place along x (0) or y (1) of a rectangular layer of a rectangular
+        plate, without those by the mass of the target: slopes by fields times what the layer adds, along its edges."""
+        rule, laminate = self.space.rule, self.space.laminate
+        assert isinstance(rule, Integrals)
+        assert layer.area is not None
+        without = replace(laminate, layers=[other for other in laminate.layers if other != layer])
+        ends, span = layer.area[2 * axis : 2 * axis + 2], layer.area[2 - 2 * axis : 4 - 2 * axis]
+        side, total = laminate.size[axis], np.zeros(len(self._slopes))
+        for outwards, place in zip((-1, 1), ends, strict=True):
+            inside = _Part(rule.on_line(axis, place - outwards * BESIDE * side, span), {})
+            added = inside.fields(laminate) - inside.fields(without)
+            # Curvatures of functions may jump at the edge, and the mean counts.
+            lines = [rule.on_line(axis, min(max(place + by * BESIDE * side, 0.0), side), span) for by in (-1, 1)]
+            total += sum(outwards / 2 * part.times(added) for part in self._of_plate([(line, None) for line in lines]))
         return total
 
     def by_thickness(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TypeAlias
@@ -267,6 +268,16 @@ class Integrals:
     def sampled(self, fields: Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]) -> np.ndarray:
         """Return fields (n, y, x) at Gauss's points by their function of x and y [m]."""
         return np.stack(fields(*self.points))
+
+    def on_line(self, axis: int, place: float, span: Sequence[float]) -> Integrals:
+        """Return the rule on the line at a place along x (0) or y (1) [m], within a span of breaks of the other side
+        [m], for integrals along it."""
+        line, points, weights = copy(self), self.points[1 - axis], self._weights[1 - axis]
+        within = (points > span[0]) & (points < span[1])
+        across, along = (np.array([place]), np.ones(1)), (points[within], weights[within])
+        (x, of_x), (y, of_y) = (across, along) if axis == 0 else (along, across)
+        line.points, line._weights = (x, y), (of_x, of_y)
+        return line
 
     @property
     def pairs(self) -> tuple[Pairs, Pairs]:
