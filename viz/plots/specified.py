@@ -107,7 +107,8 @@ def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:
     if np.isfinite(answer.contrasts).any():
         axes.plot(x, answer.contrasts, color="#08519c", linewidth=1.4, marker=".", markersize=3)
         axes.set_ylabel("contrast [dB]")
-        _draw_allowed(answer, axes)
+        _draw_allowed(answer, axes, below=True)
+        axes.margins(y=0.15)
         axes.plot(answer.frequency, answer.contrast_db, "o", color=INK, markersize=5, clip_on=False)
     else:
         axes.plot(x, 100 * answer.efforts, color="#08519c", linewidth=1.4)
@@ -172,8 +173,16 @@ def _draw_cases(answer: SpecifiedDrive, axes: Axes) -> None:
     axes.set_title(title, fontsize=8)
 
 
-def _draw_allowed(answer: SpecifiedDrive, axes: Axes, upright: bool = False) -> None:
-    if np.isfinite(answer.allowed_db):
-        draw = axes.axvline if upright else axes.axhline
-        draw(answer.allowed_db, color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
-        axes.legend(fontsize=8, frameon=True, framealpha=1, edgecolor="none")
+def _draw_allowed(answer: SpecifiedDrive, axes: Axes, upright: bool = False, below: bool = False) -> None:
+    """Draw the contrast that is allowed as a line, named above its start, below its end, or upright at the top."""
+    if not np.isfinite(answer.allowed_db):
+        return
+    draw = axes.axvline if upright else axes.axhline
+    draw(answer.allowed_db, color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
+    place, along = (float(below), answer.allowed_db), ("axes fraction", "data")
+    if upright:
+        place, along = (answer.allowed_db, 1.0), ("data", "axes fraction")
+    axes.annotate(
+        "allowed", place, (-3 if below else 3, -3 if below or upright else 3), along, "offset points", color=LIMIT,
+        ha="right" if below else "left", va="top" if below or upright else "bottom", rotation=90 * upright, fontsize=8,
+    )  # fmt: skip
