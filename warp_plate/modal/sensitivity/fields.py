@@ -127,7 +127,9 @@ class FieldSlopes:
         rule, laminate = self.space.rule, self.space.laminate
         assert isinstance(rule, Integrals)
         assert layer.area is not None
-        without = replace(laminate, layers=[other for other in laminate.layers if other != layer])
+        others = [*laminate.layers]
+        others.remove(layer)  # one alone of layers that are alike
+        without = replace(laminate, layers=others)
         ends, span = layer.area[2 * axis : 2 * axis + 2], layer.area[2 - 2 * axis : 4 - 2 * axis]
         side, total = laminate.size[axis], np.zeros(len(self._slopes))
         for outwards, place in zip((-1, 1), ends, strict=True):
