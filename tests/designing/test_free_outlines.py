@@ -95,14 +95,18 @@ def test_slopes_by_shapes_of_attachments_are_those_of_differences(free):
     assert (errors <= 1e-5 * sizes).all()
 
 
-def test_slopes_by_places_of_layers_are_those_of_differences():
-    """They come from the edges of the layer; in differences of sums over the plate rounding was 1e-5 of some."""
+def test_slopes_by_places_of_layers_are_those_of_differences_and_free_of_rounding(monkeypatch):
+    """They come from the edges of the layer; in differences of sums over the plate rounding was 1e-5 of some, and the
+    larger, the smaller the step."""
     layer = {"area": (0.02, 0.12, 0.05, 0.08), "thickness": 1e-4, "young_modulus": 2e9, "density": 1800.0}
     effects, design = {"layers": [layer]}, {"places": {"effects.layers[0]": [0.02, 0.18, 0.03, 0.17]}}
     panel, numbers = panel_of(effects={**effects, "damping": {"viscous": 60.0}}, design=design), np.array([0.4, 0.3])
+    slopes = panel.evaluate(numbers).slopes
     for direction in np.eye(2):
         errors, sizes = errors_of_slopes(panel, numbers, direction, 1e-3, "smooth")
         assert (errors <= 1e-6 * sizes).all()
+    monkeypatch.setattr("warp_plate.designing.panel.STEP", 1e-5)
+    assert panel.evaluate(numbers).slopes == pytest.approx(slopes, rel=0, abs=2e-7 * np.abs(slopes).max())
 
 
 @pytest.mark.parametrize("share", [0.0, 5e-5, 0.3, 1.0])

@@ -312,7 +312,7 @@ class FreePanel:
 
             if place is not None and (layer := of.edged_layer(place[0])) is not None:
                 by_edges = width[index] * of.of_fields.by_place(layer, place[1])
-                slopes[:, self._mapped + index] = by_edges + of.along(scene_at, share, change=of.change_in_target)
+                slopes[:, self._mapped + index] = by_edges + of.along(scene_at, share, STEP, of.change_in_target)
                 continue
             shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
             step = self._functions.shape_step(self._low[index]) / width[index] if shape else STEP

@@ -130,15 +130,13 @@ class FieldSlopes:
         others = [*laminate.layers]
         others.remove(layer)  # one alone of layers that are alike
         without = replace(laminate, layers=others)
-        ends, span = layer.area[2 * axis : 2 * axis + 2], layer.area[2 - 2 * axis : 4 - 2 * axis]
-        side, total = laminate.size[axis], np.zeros(len(self._slopes))
-        for outwards, place in zip((-1, 1), ends, strict=True):
-            inside = _Part(rule.on_line(axis, place - outwards * BESIDE * side, span), {})
-            added = inside.fields(laminate) - inside.fields(without)
-            # Curvatures of functions may jump at the edge, and the mean counts.
-            lines = [rule.on_line(axis, min(max(place + by * BESIDE * side, 0.0), side), span) for by in (-1, 1)]
-            total += sum(outwards / 2 * part.times(added) for part in self._of_plate([(line, None) for line in lines]))
-        return total
+        ends, span = np.repeat(layer.area[2 * axis : 2 * axis + 2], 2), layer.area[2 - 2 * axis : 4 - 2 * axis]
+        side, outwards = laminate.size[axis], np.array([-0.5, -0.5, 0.5, 0.5])
+        inside = _Part(rule.on_lines(axis, ends - 2 * outwards * BESIDE * side, outwards, span), {})
+        # Curvatures of functions may jump at the edges, and the mean of both sides counts.
+        beside = np.clip(ends + BESIDE * side * np.array([-1, 1, -1, 1]), 0.0, side)
+        (part,) = self._of_plate([(rule.on_lines(axis, beside, outwards, span), None)])
+        return part.times(inside.fields(laminate) - inside.fields(without))
 
     def by_thickness(self) -> np.ndarray:
         """Return the slopes (numbers, rows, columns) by the map of thickness; those of fields are exact by a complex

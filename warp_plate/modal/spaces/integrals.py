@@ -269,15 +269,15 @@ class Integrals:
         """Return fields (n, y, x) at Gauss's points by their function of x and y [m]."""
         return np.stack(fields(*self.points))
 
-    def on_line(self, axis: int, place: float, span: Sequence[float]) -> Integrals:
-        """Return the rule on the line at a place along x (0) or y (1) [m], within a span of breaks of the other side
-        [m], for integrals along it."""
-        line, points, weights = copy(self), self.points[1 - axis], self._weights[1 - axis]
+    def on_lines(self, axis: int, places: np.ndarray, weights: np.ndarray, span: Sequence[float]) -> Integrals:
+        """Return the rule on lines at places along x (0) or y (1) [m], within a span of breaks of the other side [m],
+        for the sum of the integrals along them by weights."""
+        lines, points = copy(self), self.points[1 - axis]
         within = (points > span[0]) & (points < span[1])
-        across, along = (np.array([place]), np.ones(1)), (points[within], weights[within])
+        across, along = (places, weights), (points[within], self._weights[1 - axis][within])
         (x, of_x), (y, of_y) = (across, along) if axis == 0 else (along, across)
-        line.points, line._weights = (x, y), (of_x, of_y)
-        return line
+        lines.points, lines._weights = (x, y), (of_x, of_y)
+        return lines
 
     @property
     def pairs(self) -> tuple[Pairs, Pairs]:
