@@ -51,8 +51,8 @@ SHAPES = {
         "design": {"free": {"edges.parts[0].to_point[0]": [0.125, 0.138]}, **STEADY},
     },
 }
-# Parts of slopes by which they may differ where more functions of less energy turned by rounding.
-SMOOTH = {"part": 3e-7}
+# Parts of slopes by which they may differ where more functions of less energy, or shorter steps, turned by rounding.
+SMOOTH = {"part": 1e-6}
 
 
 def panel_of(**tables):
@@ -109,10 +109,11 @@ def test_slopes_by_places_of_layers_are_those_of_differences_and_free_of_roundin
     assert panel.evaluate(numbers).slopes == pytest.approx(slopes, rel=0, abs=2e-7 * np.abs(slopes).max())
 
 
+@pytest.mark.parametrize("count", [3, 5])
 @pytest.mark.parametrize("share", [0.0, 5e-5, 0.3, 1.0])
-def test_stencils_stay_in_the_range_and_are_exact_for_polynomials(share):
-    coefficients = np.arange(1.0, 6.0)
-    for points, weights in stencils(share, 1e-3):
+def test_stencils_stay_in_the_range_and_are_exact_for_polynomials(share, count):
+    coefficients = np.arange(1.0, count + 1.0)
+    for points, weights in stencils(share, 1e-3, count):
         assert points.min() >= 0
         assert points.max() <= 1
         slope = np.polyval(np.polyder(coefficients), share)

@@ -25,9 +25,15 @@ DENSITY = 0.7
 # Energy of functions of a free outline that depend on the others: more than for one outline, so that what is left out
 # turns slowly with it; of less, rounding is seen in slopes.
 RANK = 1e-9
-# Steps of differences by the shape of a panel, against rounding: by the outline, whose functions turn with it, as a
-# part of the least interval between knots; by a side of a rectangle, whose functions only stretch, as a part of it.
-TURNED, STRETCHED = 7e-4, 2e-3
+# Steps of differences by the shape of a panel, against rounding: by the outline, whose functions turn with it, and by
+# places of supports and ends of parts of edges, whose conditions change, as parts of the least interval between knots;
+# by a side of a rectangle, whose functions only stretch, as a part of it.
+TURNED, HELD, STRETCHED = 7e-4, 2.8e-3, 2e-3
+# Tables that say what shape a panel has and where it is held, and the numbers there that do not.
+SHAPE, SPRINGS = (
+    ("plate.size", "plate.outline", "plate.holes", "edges.", "supports["),
+    ("translation", "rotation", "stiffness"),
+)
 
 
 class PanelFunctions:
@@ -55,11 +61,12 @@ class PanelFunctions:
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space
 
-    def shape_step(self, length: float) -> float:
-        """Return the step [m] of differences by a number of the shape of a panel, about a length [m]."""
+    def shape_step(self, key: str, length: float) -> float:
+        """Return the step [m] of differences by a number at a key of the shape of a panel, about a length [m]."""
         if isinstance(self.space, TensorSplines):
             return STRETCHED * length
-        return TURNED * min(float(np.diff(along.breaks).min()) for along in self.space.along)
+        least = min(float(np.diff(along.breaks).min()) for along in self.space.along)
+        return (TURNED if key.startswith("plate.") else HELD) * least
 
     def of_scene(self, scene: Scene, near: FunctionSpace | None = None) -> TensorSplines | TrimmedSplines:
         """Return the functions of a panel, which turn least from those of ``near``, of almost the same shape; Unlike:
@@ -97,3 +104,8 @@ def shape_of(scene: Scene) -> tuple[object, ...]:
     parts = [(part.from_point, part.to_point) for part in scene.edges.parts]
     supports = [(support.point, support.line, support.ring) for support in scene.supports]
     return plate.size, plate.outline, holes, parts, supports
+
+
+def is_shape(key: str) -> bool:
+    """Return whether a number at a key says what shape a panel has, or where it is held."""
+    return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS

@@ -29,8 +29,9 @@ from warp_plate.scene.keys import value_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion
 
-# Step of differences, as a part of the range of a number.
-STEP = 1e-4
+# Steps of differences, as parts of the range of a number: of five points by places, and of three by other numbers, in
+# which the coefficients of the plate are smooth.
+STEP, SMOOTH_STEP = 1e-4, 2e-5
 
 
 @dataclass(frozen=True)
@@ -158,12 +159,14 @@ class NumberSlopes:
         scene_at: Callable[[float], Scene],
         share: float,
         step: float = STEP,
+        count: int = 5,
         change: Callable[[Scene], np.ndarray] | None = None,
     ) -> np.ndarray:
-        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, from :func:`stencils` and
-        :meth:`change` or another; Unlike: on either side functions of the outline are of other kinds."""
+        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, from :func:`stencils` of a
+        ``count`` of points and :meth:`change` or another; Unlike: on either side functions of the outline are of other
+        kinds."""
         unlike = None
-        for points, weights in stencils(share, step):
+        for points, weights in stencils(share, step, count):
             others = points != share  # there is no change
             pairs = zip(points[others].tolist(), weights[others], strict=True)
             try:
@@ -183,11 +186,16 @@ class NumberSlopes:
             galerkin = make_galerkin(after, self._space_of(after))
             matrices, target = plate_matrices(galerkin) - self._matrices, before.target
             mass = panel_mass(galerkin) - panel_mass(self._galerkin)
-            of_target = galerkin.space.region_mass(target) - self._space.region_mass(target)
+            counts = self._by_target.any()
+            of_target = galerkin.space.region_mass(target) - self._target_mass if counts else 0.0
             changes = [by.matrices.product(matrices) for by in self._slopes]
             return np.array(changes) + self._by_target * of_target + self._by_mass * mass
         terms = (self._attached * (_numbers(both[0]) - _numbers(both[1]))).sum(axis=(1, 2))
         return terms + self._of_terms(after) + self._of_section(after) + self._of_coils(after) + self._of_loads(after)
+
+    @cached_property
+    def _target_mass(self) -> float:
+        return self._space.region_mass(self.scene.target)
 
     @cached_property
     def _matrices(self) -> PlateMatrices:
@@ -242,16 +250,17 @@ class NumberSlopes:
         return np.array([np.vdot(by.matrices.forces[:plate], one - other) for by in self._slopes])
 
 
-def stencils(share: float, step: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield five points from 0 to 1, a step apart, of which a share is one, and the weights with which values there sum
-    up to the slope at the share of a polynomial of the fourth degree; first those with the share in the middle."""
-    step = min(step, 1 / 5)
-    for below in (2, 1, 3, 0, 4):
-        offsets = np.arange(5) - below
+def stencils(share: float, step: float, count: int = 5) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield an odd ``count`` of points from 0 to 1, a step apart, of which a share is one, and the weights with which
+    values there sum up to the slope at the share of a polynomial through them; first those with the share in the
+    middle."""
+    step, half = min(step, 1 / count), count // 2
+    for below in sorted(range(count), key=lambda below: abs(below - half)):
+        offsets = np.arange(count) - below
         points = share + step * offsets
         if points[0] >= 0 and points[-1] <= 1:
-            weights = np.linalg.solve(offsets ** np.arange(5)[:, None], np.eye(5)[1])
-            yield points, np.where(offsets if below == 2 else 1, weights, 0) / step
+            weights = np.linalg.solve(offsets ** np.arange(count)[:, None], np.eye(count)[1])
+            yield points, np.where(offsets if below == half else 1, weights, 0) / step
 
 
 def panel_mass(galerkin: Galerkin) -> float:

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.designing.functions import PanelFunctions
+from warp_plate.designing.functions import PanelFunctions, is_shape
 from warp_plate.designing.mode_names import NamedModes
-from warp_plate.designing.numbers import STEP, NumberSlopes, PanelSlopes, panel_mass
+from warp_plate.designing.numbers import SMOOTH_STEP, STEP, NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import make_galerkin
@@ -47,11 +47,6 @@ NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
 # Numbers of actuators that are no part of the panel.
 NO_PANEL = (*ALTERNATIVES, "phase", "frequency", "delay")
-# Tables that say what shape a panel has and where it is held, and the numbers there that do not.
-SHAPE, SPRINGS = (
-    ("plate.size", "plate.outline", "plate.holes", "edges.", "supports["),
-    ("translation", "rotation", "stiffness"),
-)
 # Cases within about 1/SHARPNESS of the worst one count in slopes of the least value.
 SHARPNESS = 100.0
 
@@ -103,7 +98,7 @@ class FreePanel:
                     raise SceneError(
                         f"design.free: {name}: slopes by the losses of all bending are not known; delete it"
                     )
-                if _is_shape(inner) and (self.thickness is not None or self._loaded):
+                if is_shape(inner) and (self.thickness is not None or self._loaded):
                     other = "a map of thickness" if self.thickness is not None else "air or a sound"
                     raise SceneError(f"design.free: {name}: a shape is not free beside {other}; delete one")
                 if inner.startswith("supports[") and value_of(self.scene, inner) is None:
@@ -198,7 +193,7 @@ class FreePanel:
             flat = np.ones(self.thickness.shape).tolist()
             scene = scene.model_copy(update={"effects": scene.effects.with_thickness(flat)})
         keys = [*self._keys, *(resolved_key(scene, name) for name in self.design.tolerance)]
-        shaped = any(_is_shape(inner) for key in keys for inner in linked_keys(scene, key))
+        shaped = any(is_shape(inner) for key in keys for inner in linked_keys(scene, key))
         return PanelFunctions(scene, max(case[TONE] for case in self.cases), shaped)
 
     @property
@@ -312,11 +307,13 @@ class FreePanel:
 
             if place is not None and (layer := of.edged_layer(place[0])) is not None:
                 by_edges = width[index] * of.of_fields.by_place(layer, place[1])
-                slopes[:, self._mapped + index] = by_edges + of.along(scene_at, share, STEP, of.change_in_target)
+                slopes[:, self._mapped + index] = by_edges + of.along(scene_at, share, STEP, change=of.change_in_target)
                 continue
-            shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
-            step = self._functions.shape_step(self._low[index]) / width[index] if shape else STEP
-            slopes[:, self._mapped + index] = of.along(scene_at, share, step)
+            shapes = [] if place else [key for key in linked_keys(self.scene, self._keys[index]) if is_shape(key)]
+            step, count = (STEP, 5) if place else (SMOOTH_STEP, 3)
+            if shapes:
+                step, count = self._functions.shape_step(shapes[0], self._low[index]) / width[index], 5
+            slopes[:, self._mapped + index] = of.along(scene_at, share, step, count)
         return slopes
 
     @cached_property
@@ -373,11 +370,6 @@ class FreePanel:
     def shown(self, value: float) -> float:
         """Return the quantity that is maximised, or lowered, in its unit."""
         return shown(self.design, value)
-
-
-def _is_shape(key: str) -> bool:
-    """Return whether a number at a key says what shape a panel has, or where it is held."""
-    return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS
 
 
 def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float]) -> Scene:
