@@ -2,8 +2,8 @@
 
     OMP_NUM_THREADS=1 python benchmarks/design_cost.py [--repeats 9]
 
-Panels are the paper's plate with a map of 25 and of 5184 numbers, with no, one and two limits on its motion, and an
-exciter's panel in air with limits on sound and power.
+Panels are the paper's plate with a map of 25 and of 5184 numbers, with no, one and two limits on its motion, an
+exciter's panel in air with limits on sound and power, two ribs, and a hole whose place and radius are free.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LIMITS = ({}, {"energy_target": 1e-9}, {"energy_target": 1e-9, "least_velocity": 1e-3})
 # Length scales of maps of 25 and of 5184 numbers [m].
 LENGTHS = (0.133, 0.00567)
+# Middle and radius of a hole [m].
+HOLE = (0.11, 0.09, 0.02)
 
 
 def main() -> None:
@@ -34,6 +36,13 @@ def main() -> None:
             report("a map", Scene.load("paper").replace("design", table), repeats)
     for name in ("design-exciter", "design-ribs"):
         report(name, Scene.load(EXAMPLES / f"{name}.toml"), repeats)
+    paper = Scene.load("paper")
+    material = paper.plate.model_dump(exclude={"size", "outline", "holes"}, exclude_none=True)
+    plate = {**material, "outline": {"rectangle": paper.plate.size}, "holes": [{"disc": HOLE}]}
+    free = {f"plate.holes[0].disc[{index}]": [0.9 * value, 1.1 * value] for index, value in enumerate(HOLE)}
+    for count in (1, 3):
+        design = {"free": dict(list(free.items())[:count])}
+        report("a hole", paper.with_tables(plate=plate, edges={"outline": "clamped"}, design=design), repeats)
 
 
 def report(name: str, scene: Scene, repeats: int) -> None:

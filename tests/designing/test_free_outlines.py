@@ -68,6 +68,18 @@ def test_slopes_by_pieces_of_the_outline_are_those_of_differences(name):
     assert (errors <= SMOOTH.get(name, 2e-6) * sizes).all()
 
 
+def test_slopes_by_a_support_beside_a_knot_are_those_of_differences():
+    """What splines follow of the motion about the support changes within its distance to the knot."""
+    key, tables = "supports[0].point[1]", SHAPES["support"]
+    *_, y = panel_of(**tables)._functions.space.along
+    knot = y.breaks[np.abs(y.breaks - 0.12).argmin()]
+    x, place = 0.13, float(knot + 0.02 * np.diff(y.breaks).min())
+    design = {**tables["design"], "free": {key: [place - 4e-3, place + 6e-3]}}
+    panel = panel_of(supports=[{"point": (x, place)}], design=design)
+    errors, sizes = errors_of_slopes(panel, np.array([0.4]), np.ones(1), 2e-3, "smooth")
+    assert (errors <= 1e-6 * sizes).all()
+
+
 @pytest.mark.parametrize("end", [0.0, 1.0])
 @pytest.mark.parametrize("name", ["size", "support", "side", "part", pytest.param("hole", marks=pytest.mark.slow)])
 def test_slopes_at_ends_of_ranges_are_those_of_differences(name, end):

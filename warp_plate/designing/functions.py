@@ -11,13 +11,14 @@ from warp_plate.modal.air import Shapes, Waves
 from warp_plate.modal.assemble import make_space
 from warp_plate.modal.radiation import FarField, air_of
 from warp_plate.modal.sensitivity.adjoint import AirBeside
-from warp_plate.modal.spaces.integrals import mean_wave_frequency
+from warp_plate.modal.spaces.integrals import SplineProducts, mean_wave_frequency
 from warp_plate.modal.spaces.knots import intervals_for
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.modal.spaces.trimmed_splines import TrimmedSplines
 from warp_plate.plate.section import laminate_of
 from warp_plate.quantities.sound_levels import a_weight
+from warp_plate.scene.keys import key_parts
 from warp_plate.scene.model import Scene
 
 # Functions along each side, relative to those of other commands.
@@ -26,9 +27,12 @@ DENSITY = 0.7
 # turns slowly with it; of less, rounding is seen in slopes.
 RANK = 1e-9
 # Steps of differences by the shape of a panel, against rounding: by the outline, whose functions turn with it, and by
-# places of supports and ends of parts of edges, whose conditions change, as parts of the least interval between knots;
-# by a side of a rectangle, whose functions only stretch, as a part of it.
+# supports and ends of parts of edges, whose conditions change, as parts of the least interval between knots; by a side
+# of a rectangle, whose functions only stretch, as a part of it.
 TURNED, HELD, STRETCHED = 7e-4, 2.8e-3, 2e-3
+# Coordinates of places about which motions are singular, and parts of the distance to the nearest knot, within which
+# what splines follow of that changes, and of an interval that steps by them are at most and at least.
+SINGULAR, OF_DISTANCE, LEAST = ("point", "line", "from_point", "to_point"), 0.02, 2e-5
 # Tables that say what shape a panel has and where it is held, and the numbers there that do not.
 SHAPE, SPRINGS = (
     ("plate.size", "plate.outline", "plate.holes", "edges.", "supports["),
@@ -60,13 +64,6 @@ class PanelFunctions:
         space = make_space(scene, sides)
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space
-
-    def shape_step(self, key: str, length: float) -> float:
-        """Return the step [m] of differences by a number at a key of the shape of a panel, about a length [m]."""
-        if isinstance(self.space, TensorSplines):
-            return STRETCHED * length
-        least = min(float(np.diff(along.breaks).min()) for along in self.space.along)
-        return (TURNED if key.startswith("plate.") else HELD) * least
 
     def of_scene(self, scene: Scene, near: FunctionSpace | None = None) -> TensorSplines | TrimmedSplines:
         """Return the functions of a panel, which turn least from those of ``near``, of almost the same shape; Unlike:
@@ -109,3 +106,17 @@ def shape_of(scene: Scene) -> tuple[object, ...]:
 def is_shape(key: str) -> bool:
     """Return whether a number at a key says what shape a panel has, or where it is held."""
     return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS
+
+
+def shape_step(space: SplineProducts, key: str, value: float) -> float:
+    """Return the step [m] of differences by a number of the shape of a panel, of a value [m] at a key."""
+    if isinstance(space, TensorSplines):
+        return STRETCHED * value
+    interval = min(float(np.diff(along.breaks).min()) for along in space.along)
+    if key.startswith("plate."):
+        return TURNED * interval
+    *path, last = key_parts(key)
+    if isinstance(last, str) or not any(name in path for name in SINGULAR):
+        return HELD * interval
+    distance = float(np.abs(space.along[last].breaks - value).min())
+    return min(HELD * interval, max(OF_DISTANCE * distance, LEAST * interval))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.designing.functions import PanelFunctions, is_shape
+from warp_plate.designing.functions import PanelFunctions, is_shape, shape_step
 from warp_plate.designing.mode_names import NamedModes
 from warp_plate.designing.numbers import SMOOTH_STEP, STEP, NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
@@ -309,10 +309,12 @@ class FreePanel:
                 by_edges = width[index] * of.of_fields.by_place(layer, place[1])
                 slopes[:, self._mapped + index] = by_edges + of.along(scene_at, share, STEP, change=of.change_in_target)
                 continue
-            shapes = [] if place else [key for key in linked_keys(self.scene, self._keys[index]) if is_shape(key)]
             step, count = (STEP, 5) if place else (SMOOTH_STEP, 3)
+            shapes = [] if place else [key for key in linked_keys(self.scene, self._keys[index]) if is_shape(key)]
             if shapes:
-                step, count = self._functions.shape_step(shapes[0], self._low[index]) / width[index], 5
+                value = float(self._low[index] + share * width[index])
+                steps = [shape_step(of.of_fields.space, key, value) for key in shapes]
+                step, count = min(steps) / width[index], 5
             slopes[:, self._mapped + index] = of.along(scene_at, share, step, count)
         return slopes
 
