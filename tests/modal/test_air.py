@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
+from support.pistons import rigid_motion
 from support.scenes import refused, scene_of
 from support.scenes_of_outlines import outlined
 from warp_plate import frf
@@ -16,15 +17,15 @@ from warp_plate.problem.methods import resolve_search
 from warp_plate.problem.problem import make_problem
 
 AIR = Air()
-CORNERS = [(0.05, 0.05), (0.15, 0.05), (0.1, 0.17), (0.03, 0.08)]
+POINTS = [(0.05, 0.05), (0.15, 0.05), (0.1, 0.09), (0.03, 0.08)]
 SUPPORTED = {"edges": ("supported",) * 4, "size": (0.3, 0.2)}
 
 
 def piston_mass(plate, wavenumber):
     """Return the added mass per density [m³] of the rigid motion u = 1 of a free plate."""
     rigid = np.flatnonzero(plate.frequencies == 0)
-    moved = np.linalg.lstsq(plate.at_points(CORNERS)[rigid].T, np.ones(len(CORNERS)), rcond=None)[0]
     shapes = Shapes(plate.scene, plate.space, plate.frequencies[rigid], plate.vectors[:, rigid])
+    moved = rigid_motion(plate, POINTS)[rigid]
     return moved @ Waves(shapes).masses_per_density(wavenumber) @ moved
 
 
@@ -32,7 +33,30 @@ def test_a_square_piston_has_its_added_mass():
     """∫∫ 1/r over a unit square and itself is (4/3)(1 − √2 + 3 ln(1 + √2))."""
     plate = solve_modes(scene_of(edges=("free",) * 4), highest=0.0, count=3)
     exact = 0.2**3 * (4 / 3) * (1 - math.sqrt(2) + 3 * math.log(1 + math.sqrt(2))) / (2 * math.pi)
-    assert piston_mass(plate, 0.0) == pytest.approx(exact, rel=1e-5)
+    assert piston_mass(plate, 0.0) == pytest.approx(exact, rel=1e-7)
+
+
+@pytest.mark.parametrize("size", [(0.2, 0.2), (0.2, 0.16), (0.3, 0.1)])
+@pytest.mark.parametrize("wavenumber", [0.5, 5.0, 20.0, 50.0])
+def test_a_rectangular_piston_has_rayleigh_s_impedance(size, wavenumber):
+    """It is ρck/2π ∫∫∫∫ (sin kr + i cos kr)/r, over the distances of all pairs of points."""
+    plate = solve_modes(scene_of(edges=("free",) * 4, size=size), highest=0.0, count=3)
+    frequency = wavenumber * AIR.sound_speed / (2 * math.pi)
+    moved = rigid_motion(plate, POINTS)
+    resistance = moved @ Radiation(plate, frequency).resistances(np.array([frequency]))[0] @ moved
+    omega = 2 * math.pi * frequency
+    found = resistance + 1j * omega * AIR.density * piston_mass(plate, wavenumber)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    nodes, weights = (nodes + 1) / 2, weights / 2
+    total = 0.0
+    for one, other in (size, size[::-1]):  # polar coordinates on both sides of the diagonal
+        angles = math.atan2(other, one) * nodes
+        longest = one / np.cos(angles)
+        r, by = np.outer(longest, nodes), np.outer(math.atan2(other, one) * weights * longest, weights)
+        pairs = (one - r * np.cos(angles)[:, None]) * (other - r * np.sin(angles)[:, None])
+        total = total + 4 * (by * pairs * 1j * np.exp(-1j * wavenumber * r)).sum()
+    expected = AIR.density * AIR.sound_speed * wavenumber / (2 * math.pi) * total
+    assert abs(found / expected - 1) < 1e-6
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
+from support.pistons import rigid_motion
 from support.scenes import refused, scene_of
 from support.scenes_of_outlines import outlined
 from warp_plate.modal.modes import solve_modes
@@ -13,14 +14,6 @@ from warp_plate.modal.radiation import Air, FarField, Radiation, pressures
 
 AIR = Air()
 POINTS = np.array([(0.3, -0.1, 0.8), (0.1, 0.12, 0.05)])
-
-
-def piston(plate, points):
-    """Return (modes,) amplitudes of the rigid motion u = 1 of a free plate."""
-    rigid = np.flatnonzero(plate.frequencies == 0)
-    amplitudes = np.zeros(len(plate.frequencies))
-    amplitudes[rigid] = np.linalg.lstsq(plate.at_points(points)[rigid].T, np.ones(len(points)), rcond=None)[0]
-    return amplitudes
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +24,7 @@ def disc():
 
 @pytest.mark.parametrize("frequency", [20.0, 900.0, 4000.0])
 def test_a_disc_has_rayleigh_s_resistance(disc, frequency):
-    moved = piston(disc, [(0.1, 0.1), (0.15, 0.1), (0.1, 0.17), (0.03, 0.08)])
+    moved = rigid_motion(disc, [(0.1, 0.1), (0.15, 0.1), (0.1, 0.17), (0.03, 0.08)])
     argument = 2 * AIR.wavenumber(frequency) * 0.1
     expected = AIR.density * AIR.sound_speed * math.pi * 0.01 * (1 - 2 * scipy.special.j1(argument) / argument)
     resistance = moved @ Radiation(disc, frequency).resistances(np.array([frequency]))[0] @ moved
@@ -39,7 +32,7 @@ def test_a_disc_has_rayleigh_s_resistance(disc, frequency):
 
 
 def test_a_disc_s_pressure_on_its_axis(disc):
-    moved = piston(disc, [(0.1, 0.1), (0.15, 0.1), (0.1, 0.17), (0.03, 0.08)])
+    moved = rigid_motion(disc, [(0.1, 0.1), (0.15, 0.1), (0.1, 0.17), (0.03, 0.08)])
     heights, frequency = np.array([0.1, 0.7]), 3000.0
     points = np.column_stack([np.full((2, 2), 0.1), heights])
     k, omega = AIR.wavenumber(frequency), 2 * math.pi * frequency

@@ -10,10 +10,10 @@ changes if cos(kr)/r is continued periodically beyond ± its sides Lx, Ly, so th
     M = ρ/(8π Lx Ly) Σ_pq G_pq V*V,     G_pq = ∫∫ cos(kr)/r cos(πpx/Lx) cos(πqy/Ly) dx dy over |x| < Lx, |y| < Ly
 
 with V the integrals of the shapes times the waves of wavenumbers (πp/Lx, πq/Ly), which do not depend on frequency. With
-free edges the rest of the sum falls as the square of the largest p, with others faster: it is extrapolated from half of
-the sum. The masses at k = 0 give modes in air. At each frequency the rest of Z is solved for among the lowest of them,
-and the resistances of all modes are restored by iterative refinement, so that what is radiated is what is lost. Modes
-far above the highest frequency, which move as springs, have no mass of air.
+free edges the rest of the sum falls as the inverse second and third powers of the largest p, with others faster: both
+are extrapolated from parts of the sum. The masses at k = 0 give modes in air. At each frequency the rest of Z is solved
+for among the lowest of them, and the resistances of all modes are restored by iterative refinement, so that what is
+radiated is what is lost. Modes far above the highest frequency, which move as springs, have no mass of air.
 """
 
 from __future__ import annotations
@@ -37,7 +37,11 @@ from warp_plate.scene.model import Scene
 MOVING, FEWEST, MOST = 2.0, 40, 400
 COUPLED, FEWEST_COUPLED = 1.2, 12
 # Waves of the sum along a side for each half-wave of the highest of these modes, and at least.
-PER_HALF_WAVE, FEWEST_WAVES = 2.0, 24
+PER_HALF_WAVE, FEWEST_WAVES = 2.0, 48
+# Parts of the largest wavenumbers at which the sum is taken, and the weights of these sums, without what falls as the
+# inverse second and third powers of the largest.
+PARTS = np.array([1, 5 / 6, 1 / 2])
+WEIGHTS = np.linalg.solve(PARTS ** -np.array([[0.0], [2.0], [3.0]]), [1.0, 0.0, 0.0])
 # Terms of the interpolation of masses in k² beyond one for each radian of phase over half the plate.
 MORE_TERMS = 6
 # Frequencies whose impedances are in memory at a time; relative residual of the forces, and most refinements.
@@ -176,7 +180,7 @@ class Waves:
         sides = shapes.scene.plate.size
         wave = math.sqrt(float(shapes.frequencies.max(initial=0.0)) / mean_wave_frequency(shapes.space.laminate))
         self.sides = sides
-        self.counts = [2 * math.ceil(max(FEWEST_WAVES, PER_HALF_WAVE * wave * side) / 2) for side in sides]
+        self.counts = [6 * math.ceil(max(FEWEST_WAVES, PER_HALF_WAVE * wave * side) / 6) for side in sides]
         parts = _wave_integrals(shapes, self.counts)
         # (parts, counts along y + 1, counts along x + 1, shapes)
         self.values = np.array(parts)
@@ -190,9 +194,8 @@ class Waves:
     def masses_per_density(self, wavenumber: float) -> np.ndarray:
         """Return (shapes, shapes) M/ρ [m³/kg] at k [1/m]."""
         kernel = _kernel(self.sides, self.counts, wavenumber)
-        inner = np.ix_(*(np.arange(count + 1) <= count // 2 for count in self.counts[::-1]))
-        kernel *= 4 / 3
-        kernel[inner] *= 3 / 4
+        reach = np.maximum.outer(*(np.arange(count + 1) / count for count in self.counts[::-1]))
+        kernel *= (reach[:, :, None] <= PARTS) @ WEIGHTS
         values = self.values.reshape(-1, self.values.shape[-1])
         weights = np.tile(kernel.ravel(), len(self.values))
         return np.asarray(values.T @ (weights[:, None] * values)) / (8 * math.pi * math.prod(self.sides))
