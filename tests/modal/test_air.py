@@ -122,19 +122,20 @@ def test_masses_of_modes_are_those_of_sines():
             assert masses[index] == pytest.approx(expected, rel=5e-5)
 
 
-@pytest.mark.parametrize("density", [1.204, 30.0])
-def test_what_goes_in_is_lost_or_radiated(density):
-    oscillator = {"area": (0.1, 0.12, 0.1, 0.12), "mass": 0.005, "stiffness": 2e3, "damping": 0.5}
+@pytest.mark.parametrize(("density", "damping"), [(1.204, 0.5), (30.0, 0.5), (30.0, 300.0)])
+def test_what_goes_in_is_lost_or_radiated(density, damping):
+    """A strong damper couples more modes than refinement follows."""
+    oscillator = {"area": (0.1, 0.12, 0.1, 0.12), "mass": 0.005, "stiffness": 2e3, "damping": damping}
     effects = {"air": {"density": density}, "damping": {"viscous": 3.0}, "oscillators": [oscillator]}
     scene = scene_of(size=(0.3, 0.2), edges=("clamped", "supported", "free", "clamped"), modal_density=0.6,
                      effects=effects)  # fmt: skip
-    plate, frequencies = solve_modes(scene), np.array([12.0, 33.0, 150.0, 170.0])
+    plate, frequencies = solve_modes(scene), np.array([12.0, 33.0, 150.0, 280.0])
     forces = plate.actuator_forces() @ np.array([[1.0], [0.5j], [2.0]])
     amplitudes = plate.respond(frequencies, forces)
     rates = 2j * math.pi * frequencies[:, None, None] * amplitudes
     given = (forces.conj() * rates).sum(axis=(1, 2)).real / 2
     lost = np.einsum("nal,ab,nbl->n", rates.conj(), plate.damping, rates).real / 2
-    radiated = 2 * Radiation(plate, plate.highest, air_of(scene)).powers(frequencies, amplitudes)[:, 0]
+    radiated = 2 * Radiation(plate, 290.0, air_of(scene)).powers(frequencies, amplitudes)[:, 0]
     assert (radiated > 1e-4 * given).all()
     np.testing.assert_allclose(lost + radiated, given, rtol=1e-8)
 
@@ -145,7 +146,8 @@ def test_all_modes_feel_the_masses():
     plate = solve_modes(scene_of(**SUPPORTED, modal_density=0.6, effects=effects))
     frequency = np.array([130.0])
     forces, omega = plate.actuator_forces(), 2 * math.pi * 130.0
-    amplitudes, count = plate.respond(frequency, forces)[0], 60
+    amplitudes = plate.respond(frequency, forces)[0]
+    count = int((plate.frequencies <= 2 * 290.0).sum())  # modes up to twice the drive's frequency have a mass of air
     shapes = Shapes(plate.scene, plate.space, plate.frequencies[:count], plate.vectors[:, :count])
     air = air_of(plate.scene)
     masses = 2 * air.density * Waves(shapes).masses_per_density(float(air.wavenumber(130.0)))
@@ -153,7 +155,7 @@ def test_all_modes_feel_the_masses():
     balanced = (plate.angular_frequencies[:, None] ** 2 - omega**2) * amplitudes
     balanced = balanced + 1j * omega * ((plate.damping + resistances) @ amplitudes)
     balanced[:count] -= omega**2 * masses @ amplitudes[:count]
-    np.testing.assert_allclose(balanced[:40], forces[:40], atol=2e-3 * np.abs(forces).max())
+    np.testing.assert_allclose(balanced[:40], forces[:40], atol=2e-4 * np.abs(forces).max())
 
 
 def test_a_search_in_air_has_another_bound():

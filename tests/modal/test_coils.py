@@ -14,6 +14,7 @@ from warp_plate import Scene
 from warp_plate.effects.coil import catalogue
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.radiation import Radiation, air_of
 from warp_plate.plate.designs import scene_phasors
 
 # Stiffer than any plate, and so light that it is rigid up to much higher frequencies.
@@ -122,9 +123,12 @@ def test_the_motion_is_that_of_one_system_of_all_unknowns():
         np.testing.assert_allclose(motion.current[index, :, 0], currents, rtol=1e-8)
 
 
-def test_what_goes_in_is_lost():
-    """Electrical power, and that of the force beside the coils, is the heat of coils, springs, dampers and plate."""
+@pytest.mark.parametrize("air", [None, {"density": 12.0}], ids=["in vacuo", "in air"])
+def test_what_goes_in_is_lost_or_radiated(air):
+    """Electrical power, and that of the force beside the coils, is the heat of coils, springs, dampers and plate, and
+    the sound of both sides."""
     made = panel(coupled=True)
+    made = made if air is None else made.replace("effects.air", air)
     plate, frequencies, phasors = solve_modes(made, 400.0), np.array([47.0, 120.0, 290.0]), scene_phasors(made)
     omega = 2 * math.pi * frequencies
     amplitudes = plate.respond_to_drive(frequencies, phasors)
@@ -132,6 +136,10 @@ def test_what_goes_in_is_lost():
     q = amplitudes[:, :, 0]
     lost = np.einsum("fm,mn,fn->f", q.conj(), plate.damping, q).real * omega**2 / 2
     lost += np.einsum("fm,mn,fn->f", q.conj(), plate.hysteretic, q).real * omega / 2
+    if air is not None:
+        radiated = 2 * Radiation(plate, 400.0, air_of(made)).powers(frequencies, amplitudes)[:, 0]
+        assert (radiated > 1e-4 * lost).all()
+        lost += radiated
     heat = np.zeros(3)
     for index in range(3):
         coil = made.actuators[index].coil

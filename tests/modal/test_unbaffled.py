@@ -93,13 +93,13 @@ def test_what_goes_in_is_lost_or_radiated_to_both_sides(density):
     oscillator = {"area": (0.1, 0.12, 0.1, 0.12), "mass": 0.005, "stiffness": 2e3, "damping": 0.5}
     plate = solve_modes(open_scene(density, oscillators=[oscillator]))
     assert not plate.proportional
-    frequencies = np.array([12.0, 33.0, 88.0, 100.0])
+    frequencies = np.array([12.0, 33.0, 88.0, 100.0, 240.0])
     forces = plate.actuator_forces() @ np.array([[1.0], [0.5j], [2.0]])
     amplitudes = plate.respond(frequencies, forces)
     rates = 2j * math.pi * frequencies[:, None, None] * amplitudes
     given = (forces.conj() * rates).sum(axis=(1, 2)).real / 2
     lost = np.einsum("nal,ab,nbl->n", rates.conj(), plate.damping, rates).real / 2
-    radiated = Unbaffled(plate, plate.highest, Air(density)).powers(frequencies, amplitudes)[:, 0]
+    radiated = Unbaffled(plate, 250.0, Air(density)).powers(frequencies, amplitudes)[:, 0]
     np.testing.assert_allclose(lost + radiated, given, rtol=1e-8)
 
 
@@ -108,7 +108,7 @@ def test_modes_feel_the_jump_of_pressure():
     plate = solve_modes(open_scene(5.0))
     frequency, forces = 70.0, plate.actuator_forces()
     amplitudes, omega = plate.respond(np.array([frequency]), forces)[0], 2 * math.pi * frequency
-    radiation = Unbaffled(plate, plate.highest, Air(5.0))
+    radiation = Unbaffled(plate, 250.0, Air(5.0))
     pressed = np.tensordot(radiation.projection, radiation.jumps(frequency, amplitudes), ((0, 1), (0, 1)))
     balanced = (plate.angular_frequencies[:, None] ** 2 - omega**2) * amplitudes
     balanced = balanced + 1j * omega * plate.damping @ amplitudes + pressed

@@ -69,7 +69,8 @@ class AirOnPlate:
         """SceneError: the plate has too many modes for this machine's memory."""
         self._plate, self._air = plate, Air(table.density, table.sound_speed)
         self._sides, dry = {"both": 2, "front": 1}[table.sides], plate.frequencies
-        count = min(int(np.clip((dry <= MOVING * plate.highest).sum(), FEWEST, MOST)), dry.size)
+        highest = highest_asked(plate)
+        count = min(int(np.clip((dry <= MOVING * highest).sum(), FEWEST, MOST)), dry.size)
         low = np.ix_(range(count), range(count))
         waves = Waves(Shapes(plate.scene, plate.space, dry[:count], plate.vectors[:, :count]))
         self._heavy = np.eye(count) + self._sides * self._air.density * waves.masses_per_density(0.0)
@@ -79,9 +80,9 @@ class AirOnPlate:
             self._mixing.T @ matrix[low] @ self._mixing for matrix in (plate.damping, plate.hysteretic)
         )
         wet = np.sqrt(self._squares) / (2 * math.pi)
-        self._coupled = min(max(int((wet <= COUPLED * plate.highest).sum()), FEWEST_COUPLED), count)
+        self._coupled = min(max(int((wet <= COUPLED * highest).sum()), FEWEST_COUPLED), count)
         mixing = self._mixing[:, : self._coupled]
-        self._highest = max(plate.highest, float(wet[self._coupled - 1]), 1.0)
+        self._highest = max(highest, float(wet[self._coupled - 1]), 1.0)
         shapes = Shapes(plate.scene, plate.space, wet[: self._coupled], plate.vectors[:, :count] @ mixing)
         self._radiation, self._resistances = (Radiation(one, self._highest, self._air) for one in (shapes, plate))
         self._fit_masses(waves.mixed(mixing))
@@ -123,9 +124,13 @@ class AirOnPlate:
         limit = RESIDUAL * np.linalg.norm(forces, axis=1).max(axis=-1)
         for _ in range(REFINEMENTS):
             residual = forces - self._forces(omega, amplitudes, losses)
-            if not (np.linalg.norm(residual, axis=1).max(axis=-1) > limit).any():
-                break
+            left = np.flatnonzero(np.linalg.norm(residual, axis=1).max(axis=-1) > limit)
+            if not left.size:
+                return amplitudes
             amplitudes += self._approximate(omega, residual, inverse)
+        for row in left:  # losses couple higher modes, as those of a damper on a patch
+            system = self._forces(omega[[row]], np.eye(forces.shape[1])[None], losses[[row]])[0]
+            amplitudes[row] = np.linalg.solve(system, forces[row])
         return amplitudes
 
     def _low_compliances(self, omega: np.ndarray) -> np.ndarray:
@@ -171,6 +176,11 @@ class AirOnPlate:
             hysteretic[index] /= mass
         omega = 2 * math.pi * np.where(frequencies > 0, frequencies, math.inf)
         return frequencies, (viscous + hysteretic / omega) / (4 * math.pi)
+
+
+def highest_asked(plate: BarePlate) -> float:
+    """Return the frequency [Hz] up to which responses are asked for, of fewer functions, too."""
+    return plate.highest / min(1.0, plate.scene.grid.modal_density)
 
 
 class Waves:

@@ -25,7 +25,7 @@ import scipy
 from numpy.polynomial import chebyshev
 
 from warp_plate.effects.air import AirLoad
-from warp_plate.modal.air import AirOnPlate
+from warp_plate.modal.air import AirOnPlate, highest_asked
 from warp_plate.modal.poles import multiply_modes
 from warp_plate.modal.radiation import AIR, FURTHER, Air, BarePlate, Radiation, distances_to
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
@@ -205,7 +205,7 @@ class AirWithoutBaffle:
     def __init__(self, plate: BarePlate, table: AirLoad) -> None:
         """SceneError: as of :class:`Unbaffled`."""
         dry = plate.frequencies
-        self._plate, self._highest = plate, max(plate.highest, float(dry[dry > 0].min(initial=1.0)))
+        self._plate, self._highest = plate, max(highest_asked(plate), float(dry[dry > 0].min(initial=1.0)))
         self._radiation = Unbaffled(plate, self._highest, Air(table.density, table.sound_speed), "effects.air.baffle")
         parts = self._radiation.projection
         # (functions, modes) of one parity after the other
