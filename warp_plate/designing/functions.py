@@ -30,8 +30,8 @@ RANK = 1e-9
 # supports and ends of parts of edges, whose conditions change, as parts of the least interval between knots; by a side
 # of a rectangle, whose functions only stretch, as a part of it.
 TURNED, HELD, STRETCHED = 7e-4, 2.8e-3, 2e-3
-# Coordinates of places about which motions are singular, and parts of the distance to the nearest knot, within which
-# what splines follow of that changes, and of an interval that steps by them are at most and at least.
+# Coordinates of places about which motions are singular. What splines follow of such a motion changes within the
+# distance to the nearest knot: steps are at most this part of it, but at least this part of an interval.
 SINGULAR, OF_DISTANCE, LEAST = ("point", "line", "from_point", "to_point"), 0.02, 2e-5
 # Tables that say what shape a panel has and where it is held, and the numbers there that do not.
 SHAPE, SPRINGS = (

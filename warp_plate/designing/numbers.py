@@ -158,7 +158,7 @@ class NumberSlopes:
         self,
         scene_at: Callable[[float], Scene],
         share: float,
-        step: float = STEP,
+        step: float,
         count: int = 5,
         change: Callable[[Scene], np.ndarray] | None = None,
     ) -> np.ndarray:
@@ -186,8 +186,7 @@ class NumberSlopes:
             galerkin = make_galerkin(after, self._space_of(after))
             matrices, target = plate_matrices(galerkin) - self._matrices, before.target
             mass = panel_mass(galerkin) - panel_mass(self._galerkin)
-            counts = self._by_target.any()
-            of_target = galerkin.space.region_mass(target) - self._target_mass if counts else 0.0
+            of_target = galerkin.space.region_mass(target) - self._target_mass if self._by_target.any() else 0.0
             changes = [by.matrices.product(matrices) for by in self._slopes]
             return np.array(changes) + self._by_target * of_target + self._by_mass * mass
         terms = (self._attached * (_numbers(both[0]) - _numbers(both[1]))).sum(axis=(1, 2))
