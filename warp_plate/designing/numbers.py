@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -104,7 +104,8 @@ class NumberSlopes:
         pulls = [sum(numbers[:, [i]] * both[i] for i in range(2))[:, :plate] for both in self._relative[1]]
         totals = {key: np.zeros((len(pulls), 2)) for key in self._first}
         for axis in (0, 1):
-            means = self._slopes_of_means(axis)
+            regions = (attachment.region for attachment in self._galerkin.attachments)
+            means = self._slopes_of(partial(patch_means, self._space), regions, axis)
             slopes = np.array([2 * (means * pull).sum(axis=1) for pull in pulls])
             for index, key in enumerate(self.scene.effects.attachment_keys(self.scene.plate)):
                 totals[key][:, axis] += slopes[:, index]
@@ -128,18 +129,31 @@ class NumberSlopes:
     def _in_target(self) -> np.ndarray:
         return self.of_fields.total_in_target(self._space.laminate)
 
-    def _slopes_of_means(self, axis: int) -> np.ndarray:
-        """Return (attachments, unknowns of the plate) slopes [1/m] of mean values by the patches' x (0) or y (1)."""
+    def by_place_of_actuator(self, index: int, axis: int) -> np.ndarray | None:
+        """Return the slopes (numbers,) [1/m] by the place along x (0) or y (1) of an actuator; None of a piezo patch,
+        and of one that reaches over the plate."""
+        actuator, side = self.scene.actuators[index], self.scene.plate.size[axis]
+        low, high = actuator.box[2 * axis : 2 * axis + 2]
+        if self.scene.piezo or low < 0 or high > side:
+            return None
+        of_patches = partial(patch_means, self._space) if actuator.kind == "coil" else self._space.region_integrals
+        (load,) = self._slopes_of(of_patches, [actuator], axis)
+        return np.array([by.matrices.forces[: load.size, index] @ load for by in self._slopes])
+
+    def _slopes_of(
+        self, of_patches: Callable[[list[PlateRegion]], np.ndarray], patches: Iterable[PlateRegion], axis: int
+    ) -> np.ndarray:
+        """Return (patches, unknowns of the plate) slopes [1/m] of rows of patches by their x (0) or y (1)."""
         side, slopes, moved = self.scene.plate.size[axis], list[np.ndarray](), list[PlateRegion]()
-        for region in (attachment.region for attachment in self._galerkin.attachments):
+        for region in patches:
             low, high = region.box[2 * axis : 2 * axis + 2]
             travel = max(side - (high - low), STEP * side)
             points, weights = next(stencils(min(max(low / travel, 0.0), 1.0), STEP))
             for place in travel * points + (high - low) / 2:
                 moved.append(region.moved_to(*np.where(np.arange(2) == axis, place, region.middle).tolist()))
             slopes.append(weights / travel)
-        means = patch_means(self._space, moved).reshape(*np.shape(slopes), -1)
-        return np.einsum("ap,apu->au", slopes, means)
+        rows = of_patches(moved).reshape(*np.shape(slopes), -1)
+        return np.einsum("ap,apu->au", slopes, rows)
 
     @cached_property
     def _first(self) -> dict[str, int]:

@@ -30,7 +30,7 @@ from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
-from warp_plate.scene.keys import ALTERNATIVES, linked_keys, put, resolved_key, scalar_keys, value_of
+from warp_plate.scene.keys import ALTERNATIVES, key_parts, linked_keys, put, resolved_key, scalar_keys, value_of
 from warp_plate.scene.model import Scene
 
 # Grid of scenes that have none, and the key of the frequency.
@@ -291,6 +291,11 @@ class FreePanel:
             if place is not None and place[0] in self._tables:
                 slopes[:, self._mapped + index] = width[index] * of.by_places[place[0]][:, place[1]]
                 continue
+            if place is not None and place[0].startswith("actuators["):
+                by_place = of.by_place_of_actuator(int(key_parts(place[0])[1]), place[1])
+                if by_place is not None:
+                    slopes[:, self._mapped + index] = width[index] * by_place
+                    continue
             if (places := self._attached[index]) and not case.keys() & {".".join(place) for place in places}:
                 ends = np.clip(share + np.array([STEP, -STEP]), 0, 1)
                 values = (self._low[index] + ends * width[index]).tolist()
