@@ -3,7 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/design_cost.py [--repeats 9]
 
 Panels are the paper's plate with a map of 25 and of 5184 numbers, with no, one and two limits on its motion, an
-exciter's panel in air with limits on sound and power, two ribs, and a hole whose place and radius are free.
+exciter's panel in air with limits on sound and power, two ribs, the paper's four patches, whose places are free, and a
+hole whose place and radius are free.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ def main() -> None:
     for name in ("design-exciter", "design-ribs"):
         report(name, Scene.load(EXAMPLES / f"{name}.toml"), repeats)
     paper = Scene.load("paper")
+    places = {f"actuators[{index}]": (0.0, 0.2, 0.0, 0.2) for index in range(4)}
+    report("four patches", paper.replace("design", {"places": places}), repeats)
     material = paper.plate.model_dump(exclude={"size", "outline", "holes"}, exclude_none=True)
     plate = {**material, "outline": {"rectangle": paper.plate.size}, "holes": [{"disc": HOLE}]}
     free = {f"plate.holes[0].disc[{index}]": [0.9 * value, 1.1 * value] for index, value in enumerate(HOLE)}
