@@ -19,6 +19,7 @@ radiated is what is lost. Modes far above the highest frequency, which move as s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,7 @@ WEIGHTS = np.linalg.solve(PARTS ** -np.array([[0.0], [2.0], [3.0]]), [1.0, 0.0, 
 MORE_TERMS = 6
 # Frequencies whose impedances are in memory at a time; relative residual of the forces, and most refinements.
 BLOCK_FREQUENCIES, RESIDUAL, REFINEMENTS = 16, 1e-11, 30
+Rows = np.ndarray | slice  # some of the frequencies
 
 
 @dataclass(frozen=True)
@@ -120,18 +122,12 @@ class AirOnPlate:
     def _respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         inverse = self._low_compliances(omega)
         losses = self._plate.damping + self._sides * self._resistances.resistances(self._limited(omega / (2 * math.pi)))
-        amplitudes = self._approximate(omega, forces, inverse)
-        limit = RESIDUAL * np.linalg.norm(forces, axis=1).max(axis=-1)
-        for _ in range(REFINEMENTS):
-            residual = forces - self._forces(omega, amplitudes, losses)
-            left = np.flatnonzero(np.linalg.norm(residual, axis=1).max(axis=-1) > limit)
-            if not left.size:
-                return amplitudes
-            amplitudes += self._approximate(omega, residual, inverse)
-        for row in left:  # losses couple higher modes, as those of a damper on a patch
-            system = self._forces(omega[[row]], np.eye(forces.shape[1])[None], losses[[row]])[0]
-            amplitudes[row] = np.linalg.solve(system, forces[row])
-        return amplitudes
+        return refined(
+            self._approximate(omega, forces, inverse),
+            forces,
+            lambda rows, amplitudes: self._forces(omega[rows], amplitudes, losses[rows]),
+            lambda rows, residual: self._approximate(omega[rows], residual, inverse[rows]),
+        )
 
     def _low_compliances(self, omega: np.ndarray) -> np.ndarray:
         """Return (n, coupled, coupled) inverses of the dynamic stiffness of the lowest modes in air."""
@@ -176,6 +172,32 @@ class AirOnPlate:
             hysteretic[index] /= mass
         omega = 2 * math.pi * np.where(frequencies > 0, frequencies, math.inf)
         return frequencies, (viscous + hysteretic / omega) / (4 * math.pi)
+
+
+def refined(
+    amplitudes: np.ndarray,
+    forces: np.ndarray,
+    balanced: Callable[[Rows, np.ndarray], np.ndarray],
+    approximate: Callable[[Rows, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return amplitudes (n, modes, loads) that balance forces (n, modes, loads), from ones that nearly do.
+
+    ``balanced`` returns the forces of amplitudes at some of the n frequencies, ``approximate`` nearly its inverse.
+    Where refinement does not end, as losses couple many modes, one system of all modes is solved.
+    """
+    left, limit = np.arange(len(forces)), RESIDUAL * np.linalg.norm(forces, axis=1)
+    for _ in range(REFINEMENTS):
+        rows: Rows = slice(None) if left.size == len(forces) else left
+        residual = forces[rows] - balanced(rows, amplitudes[rows])
+        more = (np.linalg.norm(residual, axis=1) > limit[rows]).any(axis=1)
+        left = left[more]
+        if not left.size:
+            return amplitudes
+        amplitudes[left] += approximate(left, residual[more])
+    for row in left:
+        system = balanced(np.array([row]), np.eye(forces.shape[1])[None])[0]
+        amplitudes[row] = np.linalg.solve(system, forces[row])
+    return amplitudes
 
 
 def highest_asked(plate: BarePlate) -> float:

@@ -25,7 +25,7 @@ import scipy
 from numpy.polynomial import chebyshev
 
 from warp_plate.effects.air import AirLoad
-from warp_plate.modal.air import AirOnPlate, highest_asked
+from warp_plate.modal.air import BLOCK_FREQUENCIES, AirOnPlate, highest_asked, refined
 from warp_plate.modal.poles import multiply_modes
 from warp_plate.modal.radiation import AIR, FURTHER, Air, BarePlate, Radiation, distances_to
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
@@ -44,8 +44,6 @@ PANEL_POINTS, PANELS = 10, 0.3
 RESONANT, COUPLED, FEWEST = 1.2, 2.0, 40
 # Relative distance of the frequency that is taken for a natural one of an undamped plate.
 BESIDE = 1e-8
-# Frequencies at a time; relative residual of the forces, and most refinements.
-BLOCK_FREQUENCIES, RESIDUAL, REFINEMENTS = 16, 1e-11, 30
 
 
 class Unbaffled:
@@ -232,19 +230,12 @@ class AirWithoutBaffle:
     def _respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         pressed = self._pressed(omega)
         held = self._held(omega, pressed)
-        amplitudes = self._nearly(omega, forces, held)
-        left, limit = np.arange(len(omega)), RESIDUAL * np.linalg.norm(forces, axis=1)
-        for _ in range(REFINEMENTS):
-            rest = forces[left] - self._balanced(omega[left], amplitudes[left], pressed[left])
-            more = (np.linalg.norm(rest, axis=1) > limit[left]).any(axis=1)
-            left, rest = left[more], rest[more]
-            if not left.size:
-                return amplitudes
-            amplitudes[left] += self._nearly(omega[left], rest, held[left])
-        for row in left:
-            ones = np.eye(forces.shape[1])[None]
-            amplitudes[row] = np.linalg.solve(self._balanced(omega[[row]], ones, pressed[[row]])[0], forces[row])
-        return amplitudes
+        return refined(
+            self._nearly(omega, forces, held),
+            forces,
+            lambda rows, amplitudes: self._balanced(omega[rows], amplitudes, pressed[rows]),
+            lambda rows, residual: self._nearly(omega[rows], residual, held[rows]),
+        )
 
     def _pressed(self, omega: np.ndarray) -> np.ndarray:
         """Return (n, functions, functions) 2iρω² A⁻¹ [N/m]: the forces of the jumps that motions make."""
