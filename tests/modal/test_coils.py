@@ -75,7 +75,29 @@ def test_a_coil_on_a_supported_plate_has_the_impedance_of_the_sine_series():
 
 
 @pytest.mark.slow
-def test_a_coil_on_a_large_damped_plate_meets_that_of_an_infinite_one():
+def test_a_round_coil_on_a_large_damped_plate_is_near_that_of_an_infinite_one():
+    """The mean receptance of a disc of radius a is 1/2πD ∫ (2 J₁(ka)/ka)² k/(k⁴ − q⁴) dk, a sum of Bessel functions;
+    for a small disc that of a point, whose mobility is 1/8√(DρH) (Cremer and Heckl)."""
+    tables = {"thickness": 2e-3, "young_modulus": 4e9, "poisson_ratio": 0.3, "density": 1200.0, "size": (1.5, 1.3)}
+    made = scene_of(plate=tables, edges=("supported",) * 4, effects={"loss_factor": {"eta": 0.9}}, modal_density=1.0)
+    made = made.with_tables(actuators=[{"name": "0", **EXCITER, "disc": (0.76, 0.66, 0.04)}])
+    omega = 2 * math.pi * np.array([300.0, 400.0, 500.0])
+    rigidity = made.plate.rigidity * (1 + 0.9j)
+
+    def receptance(radius):
+        q = (2.4 * omega**2 / rigidity) ** 0.25
+        x = q * radius
+        waves = -1j * math.pi / 4 * special.jv(1, x) * special.hankel2(1, x)
+        return 2 / (math.pi * rigidity * radius**2) / q**4 * (special.iv(1, x) * special.kv(1, x) / 2 + waves - 0.5)
+
+    np.testing.assert_allclose(1j * omega * receptance(1e-4), 1 / (8 * np.sqrt(rigidity * 2.4)), rtol=1e-4)
+    expected = blocked(omega) + 4.2**2 * 1j * omega / (2703.0 + 0.1j * omega - 1.6e-3 * omega**2 + 1 / receptance(0.04))
+    impedance = solve_modes(made, 500.0).coils.impedance(omega)[0][:, 0, 0]
+    np.testing.assert_allclose(impedance, expected, rtol=5e-5)
+
+
+@pytest.mark.slow
+def test_a_square_coil_on_a_large_damped_plate_meets_that_of_an_infinite_one():
     """The receptance of a square is the mean of Green's function over the distances of its points, and its own at one
     point has the mobility 1/8√(DρH) (Cremer and Heckl)."""
     side, square = 0.8, (0.3, 0.5, 0.3, 0.5)

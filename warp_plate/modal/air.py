@@ -180,7 +180,7 @@ def refined(
     balanced: Callable[[Rows, np.ndarray], np.ndarray],
     approximate: Callable[[Rows, np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Return amplitudes (n, modes, loads) that balance forces (n, modes, loads), from ones that nearly do.
+    """Return amplitudes (n, modes, loads) that balance forces (n, modes, loads), from ones that nearly do, in place.
 
     ``balanced`` returns the forces of amplitudes at some of the n frequencies, ``approximate`` nearly its inverse.
     Where refinement does not end, as losses couple many modes, one system of all modes is solved.
