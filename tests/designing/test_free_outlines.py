@@ -51,8 +51,8 @@ SHAPES = {
         "design": {"free": {"edges.parts[0].to_point[0]": [0.125, 0.138]}, **STEADY},
     },
 }
-# Parts of slopes by which they may differ where more functions of less energy, or shorter steps, turned by rounding.
-SMOOTH = {"part": 1e-6}
+# Parts of slopes by which they may differ where more functions of less energy turned by rounding.
+SMOOTH = {"part": 3e-7}
 
 
 def panel_of(**tables):

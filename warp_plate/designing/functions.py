@@ -108,15 +108,18 @@ def is_shape(key: str) -> bool:
     return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS
 
 
-def shape_step(space: SplineProducts, key: str, value: float) -> float:
-    """Return the step [m] of differences by a number of the shape of a panel, of a value [m] at a key."""
+def shape_step(space: SplineProducts, key: str, value: float, room: float) -> float:
+    """Return the step [m] of differences by a number of the shape of a panel, of a value [m] at a key that is ``room``
+    [m] away from the nearer end of its range."""
     if isinstance(space, TensorSplines):
         return STRETCHED * value
     interval = min(float(np.diff(along.breaks).min()) for along in space.along)
     if key.startswith("plate."):
         return TURNED * interval
+    # Differences by one side are less exact.
+    longest = (HELD if 2 * HELD * interval <= room else TURNED) * interval
     *path, last = key_parts(key)
     if isinstance(last, str) or not any(name in path for name in SINGULAR):
-        return HELD * interval
+        return longest
     distance = float(np.abs(space.along[last].breaks - value).min())
-    return min(HELD * interval, max(OF_DISTANCE * distance, LEAST * interval))
+    return min(longest, max(OF_DISTANCE * distance, LEAST * interval))

@@ -317,8 +317,8 @@ class FreePanel:
             step, count = (STEP, 5) if place else (SMOOTH_STEP, 3)
             shapes = [] if place else [key for key in linked_keys(self.scene, self._keys[index]) if is_shape(key)]
             if shapes:
-                value = float(self._low[index] + share * width[index])
-                steps = [shape_step(of.of_fields.space, key, value) for key in shapes]
+                value, room = self._low[index] + share * width[index], min(share, 1 - share) * width[index]
+                steps = [shape_step(of.of_fields.space, key, float(value), float(room)) for key in shapes]
                 step, count = min(steps) / width[index], 5
             slopes[:, self._mapped + index] = of.along(scene_at, share, step, count)
         return slopes
