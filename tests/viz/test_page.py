@@ -2,6 +2,7 @@
 
 import base64
 import io
+import time
 
 import numpy as np
 import pytest
@@ -106,7 +107,12 @@ def holds(page, condition):
 def canvas(page, plate=1):
     """The pixels of a plate's canvas, when all that was asked for is drawn and shown."""
     page.evaluate("new Promise((shown) => requestAnimationFrame(() => requestAnimationFrame(shown)))")
-    return pixels(io.BytesIO(page.locator("#plates canvas").nth(plate).screenshot()))
+    # On a busy machine the first frame can reach the window later than it is drawn: until then all is white.
+    end = time.monotonic() + 60
+    while True:
+        picture = pixels(io.BytesIO(page.locator("#plates canvas").nth(plate).screenshot()))
+        if picture.min() < 200 or time.monotonic() > end:
+            return picture
 
 
 def redness(picture):
