@@ -26,10 +26,11 @@ DENSITY = 0.7
 # Energy of functions of a free outline that depend on the others: more than for one outline, so that what is left out
 # turns slowly with it; of less, rounding is seen in slopes.
 RANK = 1e-9
-# Steps of differences by the shape of a panel, against rounding: by the outline, whose functions turn with it, and by
-# supports and ends of parts of edges, whose conditions change, as parts of the least interval between knots; by a side
-# of a rectangle, whose functions only stretch, as a part of it.
-TURNED, HELD, STRETCHED = 7e-4, 2.8e-3, 2e-3
+# Steps of differences by the shape of a panel, against rounding: by an outline and its holes, of three points, and by
+# supports and ends of parts of edges, whose conditions change, of five points, as parts of the least interval between
+# knots; by a side of a rectangle, whose functions only stretch, of five points, as a part of it. The third is that of
+# supports and ends of parts at ends of ranges, for differences by one side are less exact.
+OUTLINED, HELD, HELD_AT_END, STRETCHED = 1e-5, 2.8e-3, 7e-4, 2e-3
 # Coordinates of places about which motions are singular. What splines follow of such a motion changes within the
 # distance to the nearest knot: steps are at most this part of it, but at least this part of an interval.
 SINGULAR, OF_DISTANCE, LEAST = ("point", "line", "from_point", "to_point"), 0.02, 2e-5
@@ -108,18 +109,17 @@ def is_shape(key: str) -> bool:
     return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS
 
 
-def shape_step(space: SplineProducts, key: str, value: float, room: float) -> float:
-    """Return the step [m] of differences by a number of the shape of a panel, of a value [m] at a key that is ``room``
-    [m] away from the nearer end of its range."""
+def shape_step(space: SplineProducts, key: str, value: float, room: float) -> tuple[float, int]:
+    """Return the step [m] and number of points of differences by a number of the shape of a panel, of a value [m] at a
+    key that is ``room`` [m] away from the nearer end of its range."""
     if isinstance(space, TensorSplines):
-        return STRETCHED * value
+        return STRETCHED * value, 5
     interval = min(float(np.diff(along.breaks).min()) for along in space.along)
     if key.startswith("plate."):
-        return TURNED * interval
-    # Differences by one side are less exact.
-    longest = (HELD if 2 * HELD * interval <= room else TURNED) * interval
+        return OUTLINED * interval, 3
+    longest = (HELD if 2 * HELD * interval <= room else HELD_AT_END) * interval
     *path, last = key_parts(key)
     if isinstance(last, str) or not any(name in path for name in SINGULAR):
-        return longest
+        return longest, 5
     distance = float(np.abs(space.along[last].breaks - value).min())
-    return min(longest, max(OF_DISTANCE * distance, LEAST * interval))
+    return min(longest, max(OF_DISTANCE * distance, LEAST * interval)), 5

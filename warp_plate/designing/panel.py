@@ -319,7 +319,8 @@ class FreePanel:
             if shapes:
                 value, room = self._low[index] + share * width[index], min(share, 1 - share) * width[index]
                 steps = [shape_step(of.of_fields.space, key, float(value), float(room)) for key in shapes]
-                step, count = min(steps) / width[index], 5
+                step, count = min(steps)
+                step /= width[index]
             slopes[:, self._mapped + index] = of.along(scene_at, share, step, count)
         return slopes
 
