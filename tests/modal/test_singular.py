@@ -8,12 +8,14 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 
 from support.derivatives import errors_of_derivatives
 from support.scenes import MATERIAL
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.spaces import singular
+from warp_plate.modal.spaces.trimmed_splines import TrimmedSplines
 from warp_plate.outline.pieces import ellipse
 
 HARD = {**MATERIAL, "poisson_ratio": 0.3}
@@ -168,6 +170,19 @@ def test_small_clamped_holes():
     hole = {"disc": (0.1, 0.1, 0.005), "edge": "clamped"}
     scene = outlined(DISC, "clamped", [hole], material=HARD, actuators=[(0.02, 0.04, 0.09, 0.11)])
     assert dimensionless(scene, lowest(scene, 6), 0.1) == pytest.approx(SMALL_HOLE, rel=2e-6)
+
+
+def test_energy_about_a_point_does_not_feel_another_support():
+    """∫ (Δ r² log r)² over a disc about the point, of distances by intervals of 0.02 m; near the point the rule about the
+    other support is cut."""
+    near = [(0.1, 0.1), (0.12, 0.1 + 0.2935 * 0.02)]
+    scene = outlined(DISC, "free", supports=[{"point": point} for point in near], material=HARD)
+    space = TrimmedSplines(scene, (10, 10))
+    index = space.count - len(near)
+    pairs = [("xx", "xx"), ("yy", "yy"), ("xx", "yy"), ("yy", "xx")]
+    energy = 0.02**4 * sum(space.form(1.0, factors)[index, index] for factors in pairs)
+    exact, _ = scipy.integrate.quad(lambda r: 32 * math.pi * r * (math.log(r / 0.02) + 1) ** 2, 0, 0.1, epsrel=1e-12)
+    assert energy == pytest.approx(exact, rel=1e-8)
 
 
 def test_orthotropic_plates_have_dense_knots_instead():

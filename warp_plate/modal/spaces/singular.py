@@ -153,7 +153,7 @@ def at_point(point: np.ndarray, interval: float) -> Singular:
     """Return r² log r about a point."""
     one = np.ones((1, 1))
     local = _polar(_powers(np.array([2.0]), np.ones(1), interval), _waves(0 * one, one))
-    return Singular(point, 0.0, 1, local, places=(tuple(point),), cuts=tuple(part * interval for part in NEAR[:3]))
+    return Singular(point, 0.0, 1, local, places=(tuple(point),), cuts=tuple(part * interval for part in NEAR[:-1]))
 
 
 def at_corner(
