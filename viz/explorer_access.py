@@ -97,16 +97,28 @@ def limit_calls(server: Any, sliders: Collection[str]) -> None:
         sliders: Keys of the state that sliders change.
     """
     for handler in server._ws_handlers:
+        # What is drawn while somebody drags or zooms. It would be drawn again for each that does, and for ever after.
+        drawing, _ = handler.functionMap["viewport.image.push"]
+        drawn = drawing.views_in_animations = _Once()
+        drawing.onClose = lambda client, drawn=drawn: drawn.clear()
         handler.functionMap = _page_calls(handler.functionMap, sliders)
         handler.onMessage = _whole_messages(handler.onMessage)
 
 
+class _Once(list[str]):
+    """A list that holds each item once, however often it is appended."""
+
+    def append(self, item: str) -> None:
+        if item not in self:
+            super().append(item)
+
+
 def _whole_messages(receive: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
-    """Return a receiver of messages that disconnects clients that send parts of messages, or too long ones."""
+    """Return a receiver of messages that disconnects clients that send texts, parts of messages, or too long ones."""
 
     async def receive_whole(is_binary: bool, message: Any, client: str) -> None:
         length = len(message.data) - HEADER
-        if is_binary and not int.from_bytes(message.data[8:HEADER], "little") == length <= LONGEST_MESSAGE:
+        if not (is_binary and int.from_bytes(message.data[8:HEADER], "little") == length <= LONGEST_MESSAGE):
             raise ValueError("not a whole message")
         await receive(is_binary, message, client)
 

@@ -85,6 +85,10 @@ def serve_page(
     """
     from warp_plate.viz.availability import set_up_renderer
 
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise OSError("it is no name of a host") from None
     with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
         pass  # raises here what trame would only log
     set_up_renderer()

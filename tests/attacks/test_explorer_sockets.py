@@ -8,6 +8,7 @@ import sys
 import urllib.error
 import urllib.request
 from contextlib import suppress
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from support.attacks import examples
 from support.commands import error_of
 from support.sockets import PATIENCE, answers_to, ask, call, session
+from warp_plate.viz.explorer_access import limit_calls
 
 aiohttp = pytest.importorskip("aiohttp")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
@@ -63,8 +65,14 @@ async def flood(socket):
         await socket.send_bytes(call("a" * 60000))
 
 
-def test_an_empty_host_does_not_listen_everywhere(command):
-    assert "must be an address of this machine" in error_of(command("explore", "paper", "--web", "--host", ""))
+@pytest.mark.parametrize(
+    ("host", "error"),
+    [("", "must be an address of this machine"), ("é" * 70, "cannot be listened on: it is no name")],
+    ids=["empty", "long"],
+)
+def test_hosts_that_are_none_are_refused(command, host, error):
+    """An empty one would listen everywhere."""
+    assert error in error_of(command("explore", "paper", "--web", "--port", "0", "--host", host))
 
 
 def test_only_the_page_has_the_secret_and_may_open_a_socket(served):
@@ -205,6 +213,19 @@ def test_viewers_can_neither_end_the_page_nor_change_it(served):
     asyncio.run(asyncio.wait_for(talk(), PATIENCE))
 
 
+def test_viewers_who_drag_and_leave_do_not_slow_the_page(monkeypatch):
+    """The view was drawn once more, at each frame to come, for each of them."""
+    monkeypatch.setattr("warp_plate.viz.explorer_access._page_calls", lambda calls, sliders: calls)
+    drawing = SimpleNamespace(views_in_animations=[])
+    handler = SimpleNamespace(functionMap={"viewport.image.push": (drawing, None)}, onMessage=None)
+    limit_calls(SimpleNamespace(_ws_handlers=[handler]), ())
+    for _ in range(3):
+        drawing.views_in_animations.append(VIEW)
+    assert drawing.views_in_animations == [VIEW]
+    drawing.onClose("client")
+    assert drawing.views_in_animations == []
+
+
 def test_messages_are_whole_and_not_too_long(served):
     """wslink takes messages in parts, and allocates at the first one the length that it claims for all."""
     address, secret = session(served)
@@ -212,10 +233,10 @@ def test_messages_are_whole_and_not_too_long(served):
 
     async def talk():
         async with aiohttp.ClientSession() as client:
-            for message in (*claims, call("a" * 2**20)):
+            for message in (*claims, call("a" * 2**20), "a" * 3 * 2**20):
                 async with client.ws_connect(address) as opened:
                     await greet(opened, secret)
-                    await opened.send_bytes(message)
+                    await (opened.send_str if isinstance(message, str) else opened.send_bytes)(message)
                     while not opened.closed:
                         await opened.receive(timeout=PATIENCE)
             async with client.ws_connect(address) as other:
