@@ -55,6 +55,25 @@ def test_threads_that_share_a_solver(device, path, scene, phasors):
     np.testing.assert_array_equal(solver.energy, expected[0])
 
 
+def test_threads_that_make_solvers(scene, phasors):
+    """Warp makes and loads kernels in one thread at a time, and standard error is that of before."""
+    made = [scene((19 + index, 21), damping=88.5, precision="float32") for index in range(6)]
+    drives, error = phasors(5, len(made[0].actuators)), os.fstat(2)
+    expected = [PlateSolver(each, "cpu").run(drives).energy for each in made]
+    with ThreadPoolExecutor(len(made)) as threads:
+        found = list(threads.map(lambda each: PlateSolver(each, "cpu").run(drives).energy, made * 4))
+    np.testing.assert_array_equal(found, expected * 4)
+    assert os.path.samestat(os.fstat(2), error)
+
+
+def test_progress_cannot_run_plates_of_its_own_solver(scene, phasors):
+    made = scene(damping=88.5, precision="float32")
+    solver, drives = PlateSolver(made, "cpu"), phasors(3, len(made.actuators))
+    with pytest.raises(RuntimeError, match="make another solver for it"):
+        solver.run(drives, progress=lambda done, total: solver.run(drives))
+    assert solver.run(drives).energy.all()
+
+
 @pytest.mark.parametrize("solver_class", [PlateSolver, ModalSolver])
 def test_solvers_are_neither_pickled_nor_copied(solver_class, scene):
     solver = solver_class(scene(), "cpu")

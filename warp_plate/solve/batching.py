@@ -72,8 +72,11 @@ class Batch:
         specialized, state = self.compiled.specialized, self.state
         state.use_waves(per_plate=False)
         self._device_scale = wp.empty(self.plates, dtype=wp.float64, device=specialized.device)
+        with specialized.compiling_late():
+            kernel = make_scale_drives(specialized.real, drives.dtype)
+            specialized.load(kernel)
         wp.launch(
-            make_scale_drives(specialized.real, drives.dtype),
+            kernel,
             dim=self.plates,
             inputs=[drives, specialized.drive_factors, self.least, SMALLEST_DRIVE, LARGEST_DRIVE]
             + [specialized.scheme.load_scale],
@@ -113,11 +116,11 @@ class Batch:
         if self._largest is None:
             self._largest = wp.zeros_like(u)
         if u.ptr not in self._samplers:  # fields of some paths alternate
-            kernel, device = make_keep_largest(specialized.real), specialized.device
-            specialized.load(kernel)
-            self._samplers[u.ptr] = wp.launch(
-                kernel, dim=u.shape, inputs=[u], outputs=[self._largest], device=device, record_cmd=True
-            )
+            with specialized.compiling_late():
+                kernel = make_keep_largest(specialized.real)
+                specialized.load(kernel)
+            shared = {"dim": u.shape, "device": specialized.device, "record_cmd": True}
+            self._samplers[u.ptr] = wp.launch(kernel, inputs=[u], outputs=[self._largest], **shared)
         self._samplers[u.ptr].launch()
 
     @property

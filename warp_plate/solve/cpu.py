@@ -110,7 +110,10 @@ def resident_path(specialized: Specialized) -> Advance:
         nonlocal work
         grouped_share = 0 if state.has_plate_waves else in_groups(-(-plates // threads))
         work += threads * grouped_share * ny * stride * (stop - start)
-        launch_groups = make_groups() if grouped_share and work >= GROUP_WORK else None
+        launch_groups = None
+        if grouped_share and work >= GROUP_WORK:
+            with specialized.compiling_late():
+                launch_groups = make_groups()
 
         def run_share(thread: int, first: int, last: int) -> None:
             grouped = first

@@ -6,6 +6,7 @@ import logging
 import os
 import platform
 import sys
+import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,8 @@ from warp_plate.scene.errors import SceneError, check_type
 
 MOST_THREADS = 1024  # each takes memory
 WARP_GUIDE = "https://nvidia.github.io/warp/stable/user_guide/installation.html"
+# Lock for Warp's start and its kernels, which only one thread at a time may make and load.
+LOADING = threading.RLock()
 # Where the kernel driver of Linux lists the NVIDIA GPUs.
 GPU_LISTINGS = Path("/proc/driver/nvidia/gpus")
 
@@ -162,15 +165,19 @@ def cpu_threads() -> int:
 @contextlib.contextmanager
 def _quiet_standard_error() -> Iterator[None]:
     """Drop what Warp's C++ side writes where there is no CUDA driver, which is no fault on most machines."""
-    sys.stderr.flush()
-    saved = os.dup(2)
-    try:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
+    if sys.stderr is None:  # closed
         yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
+        return
+    with LOADING:
+        sys.stderr.flush()
+        saved = os.dup(2)
+        try:
+            with open(os.devnull, "w") as nowhere:
+                os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
 
 
 @contextlib.contextmanager
@@ -192,7 +199,7 @@ def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = No
     Raises:
         SceneError: The cache cannot be written, or holds a damaged file.
     """
-    with cache_errors():
+    with LOADING, cache_errors():
         try:
             wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
             # An object whose end is lost but not its length may load without its functions.

@@ -24,7 +24,7 @@ from warp_plate.scene.errors import SceneError, check_type, check_whole
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import Batch, import_drives
 from warp_plate.solve.compiled_scene import CompiledScene, paths_of, why_streaming
-from warp_plate.solve.devices import MOST_THREADS, find_device
+from warp_plate.solve.devices import LOADING, MOST_THREADS, find_device
 from warp_plate.solve.parts import Records, run_parts, run_parts_on_device, states_for
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names
@@ -39,12 +39,19 @@ _DEVICE_LOCKS: dict[str, Any] = {}
 
 
 def _one_at_a_time(method: Callable[Concatenate["PlateSolver", P], T]) -> Callable[Concatenate["PlateSolver", P], T]:
-    """Let a method wait until no other thread uses the arrays of its solver, on CUDA those of the device's solvers."""
+    """Let a method wait until no other thread uses the arrays of its solver, on CUDA those of the device's solvers; a
+    method that is called within another, by a function that shows progress, raises a RuntimeError."""
 
     @wraps(method)
     def alone(solver: "PlateSolver", /, *arguments: P.args, **options: P.kwargs) -> T:
         with solver._lock:
-            return method(solver, *arguments, **options)
+            if solver._busy:
+                raise RuntimeError("progress: uses the solver whose progress it shows; make another solver for it")
+            solver._busy = True
+            try:
+                return method(solver, *arguments, **options)
+            finally:
+                solver._busy = False
 
     return alone
 
@@ -123,13 +130,14 @@ class PlateSolver:
         check_type("per_plate", per_plate, PerPlate)
         check_type("areas", areas, Mapping)
         self.device = find_device(device)
-        self._lock = threading.RLock()
+        self._lock, self._busy = threading.RLock(), False
         if self.device.is_cuda:
             self._lock = _DEVICE_LOCKS.setdefault(self.device.alias, self._lock)
         discretization = discretize(scene, per_plate, allow_unstable) if isinstance(scene, Scene) else scene
         self.scene = discretization.scene
         self.scene.check_stepped()
-        self.compiled = CompiledScene(Specialized(discretization, self.device, threads, areas, quantity), path)
+        with LOADING:
+            self.compiled = CompiledScene(Specialized(discretization, self.device, threads, areas, quantity), path)
         self.path, self.specialized = self.compiled.path, self.compiled.specialized
         self.discretization, self.scheme = discretization, self.specialized.scheme
         self.regions = self.specialized.regions

@@ -20,7 +20,7 @@ from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import EDGE_LINES, NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.devices import cpu_threads, load_kernel
+from warp_plate.solve.devices import LOADING, cpu_threads, load_kernel
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
 LINE_BYTES = 64
@@ -165,7 +165,8 @@ class Specialized:
     def compiling_late(self) -> Iterator[None]:
         """Count the time within among that of compiling, although it is spent during a run."""
         started = time.perf_counter()
-        yield
+        with LOADING:
+            yield
         self.late_seconds += time.perf_counter() - started
 
     def to_device(self, values: np.ndarray) -> wp.array:
