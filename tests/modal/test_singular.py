@@ -173,8 +173,8 @@ def test_small_clamped_holes():
 
 
 def test_energy_about_a_point_does_not_feel_another_support():
-    """∫ (Δ r² log r)² over a disc about the point, of distances by intervals of 0.02 m. The rule about the other support
-    is cut near the point."""
+    """∫ (Δ r² log r)² over a disc about the point, of distances by intervals of 0.02 m. The rule about the other
+    support is cut near the point."""
     near = [(0.1, 0.1), (0.12, 0.1 + 0.2935 * 0.02)]
     scene = outlined(DISC, "free", supports=[{"point": point} for point in near], material=HARD)
     space = TrimmedSplines(scene, (10, 10))

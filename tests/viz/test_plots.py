@@ -1,6 +1,8 @@
 """Texts of Matplotlib plots: they fit, do not overlap, and are true."""
 
 import itertools
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -21,12 +23,14 @@ from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.specify import specify
 from warp_plate.studies.sweep import SweepRequest, start_sweep
 from warp_plate.viz.annotations import GRID
+from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_crosstalk
 from warp_plate.viz.plots.responses import MOST_RESPONSES, draw_frequency_response, draw_mode_fit, draw_response_fit
 from warp_plate.viz.plots.search import draw_history, draw_spectrum
 from warp_plate.viz.plots.specified import draw_specified
 from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, REFUSED_TICK, cell_edges, draw_sweep
 
+matplotlib = pytest.importorskip("matplotlib")
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
 
 TARGETS = ({"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "disc", "disc": (0.15, 0.1, 0.03)})
@@ -277,3 +281,17 @@ def test_cell_edges_lie_halfway_between_values():
     np.testing.assert_allclose(cell_edges(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])
     low, high = cell_edges(np.array([0.0]), False)
     assert low < 0 < high
+
+
+def test_threads_draw_in_their_own_styles(tmp_path):
+    """Matplotlib's style is that of all threads, and is restored."""
+    before, sizes = dict(matplotlib.rcParams), [5.0, 7.0, 9.0, 11.0] * 5
+
+    def draw(index):
+        with figure(tmp_path / f"{index}.png", (3, 2), font_size=sizes[index]) as drawn:
+            time.sleep(0.01)
+            return drawn.subplots().text(0.5, 0.5, "text").get_fontsize()
+
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(draw, range(len(sizes)))) == sizes
+    assert dict(matplotlib.rcParams) == before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 # Powers of ten that tick labels may have; any other power is written once, with the unit.
 PLAIN_POWERS = range(-1, 4)
+# Matplotlib has one style for all threads.
+_STYLING = threading.RLock()
 STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
 
 
@@ -43,7 +46,7 @@ def figure(
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
-    with rc_context({**STYLE, "font.size": font_size, "axes.spines.top": box, "axes.spines.right": box}):
+    with _STYLING, rc_context({**STYLE, "font.size": font_size, "axes.spines.top": box, "axes.spines.right": box}):
         fig = Figure(figsize=size, dpi=dpi, layout="constrained")
         FigureCanvasAgg(fig)
         yield fig
