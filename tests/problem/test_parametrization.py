@@ -277,6 +277,14 @@ def test_drives_have_positions_beside_fixed_signs_and_under_a_power(search, powe
     assert np.allclose(again, drives, rtol=1e-12)
 
 
+def test_a_drive_without_the_first_actuator_is_not_turned():
+    """Its phase is fixed, and says nothing where the magnitude is 0; others count from rest."""
+    scene = with_magnitudes(scene_of(search={"phase": {"actuators": ["2"]}}), 0.0, 1.0, 1.0)
+    parametrization = parametrization_of(scene.replace("actuators[0].phase", 1.0))
+    positions = positions_in(parametrization.space)
+    assert np.allclose(parametrization.positions_of(parametrization.designs(positions)), positions, rtol=1e-12)
+
+
 def test_drives_are_scaled_where_only_ratios_matter_and_clipped_elsewhere():
     position = np.array([[4.0, -0.9, 0.0, 0.0, 0.0]])
     small = parametrized({"limits": {"magnitude": 0.5}}).designs(position).drives

@@ -96,12 +96,14 @@ class Parametrization:
         """Return the positions (n, dimension) of designs, clipped to the limits of the space.
 
         Where the first actuator's phase is fixed because a common one changes nothing, all phases are shifted until it
-        fits; with the source paper's reading magnitudes are scaled likewise, and under a power limit within ranges.
+        fits, if it has one; with the source paper's reading magnitudes are scaled likewise, and under a power limit
+        within ranges.
         """
         # A phase belongs to a magnitude of the scene's sign where that is not searched.
         phasors, fixed = designs.drives / self.unit * np.where(self._least < 0, -1, 1), self._fixed
         if not any(variable.kind == "phase" and 0 in variable.actuators for variable in self.variables):
-            phasors = phasors * np.exp(-1j * (np.angle(phasors[:, :1]) + fixed["phase"][0]))
+            first = phasors[:, :1]
+            phasors = phasors * np.where(first == 0, 1, np.exp(-1j * (np.angle(first) + fixed["phase"][0])))
         level = any(variable.kind == "magnitude" and 0 in variable.actuators for variable in self.variables)
         if not level and not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
