@@ -258,6 +258,10 @@ def test_only_motion_above_the_lowest_frequency_is_focused():
         ({"focus": TABLE, "effects": {"stretching": {}}}, "effects.stretching"),
         ({"focus": {**TABLE, "highest": 1.0, "time": 1.0}}, "focus.highest 1: the plate has no mode up to it"),
         ({"focus": {**TABLE, "highest": 1e6, "rate": 10**7}}, "focus.highest 1e.06: about 6.54e.04 modes are needed"),
+        (
+            {"focus": {**TABLE, "highest": 2e3}, "search": {"robust": {"thickness": 0.99, "scenarios": 100}}},
+            "^search.robust: focus.highest 2000: about .* modes are needed",
+        ),
         ({"focus": {**TABLE, "lowest": 560.0}}, "time: 0.02 s is shorter than a pulse from lowest to highest, 0.025 s"),
         ({"focus": {**TABLE, "points": [(0.07, 0.3)]}}, r"focus.points\[0\]: \[0.07, 0.3\] is off the plate"),
         ({"focus": {**TABLE, "points": [(0.07, 0.05), (0.0, 0.1)]}}, r"focus.points\[1\]: nothing moves at 0, 0.1"),

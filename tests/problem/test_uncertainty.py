@@ -112,12 +112,17 @@ def test_scenes_without_such_scenarios_are_refused(scene):
             scene(load=load).with_tables(search={"robust": keys})
     thick = {**scene().plate.model_dump(), "thickness": 0.035}
     for made, count, line in (
-        (robust(thickness=0.5).with_tables(plate=thick), 20, "thickness: .* is not thin"),
+        (robust(thickness=0.5).with_tables(plate=thick), 20, r"^search\.robust: plate.thickness: .* is not thin"),
         (scene(), 3, "search.robust: is missing"),
         (robust(gain=0.1), 10**8, "search.robust: 100000000 scenarios .* GiB"),
     ):
         with pytest.raises(SceneError, match=line):
             draw_scenarios(made, count, 0)
+    made = robust({"loss_factor": {"eta": 0.02}}, thickness=0.1)
+    (drawn,) = draw_scenarios(made, 1, 0, stepped=False)
+    short = replace(drawn, scene=drawn.scene.replace("drive.frequency", 1e6))
+    with pytest.raises(SceneError, match=r"^search\.robust: drive\.frequency: about .* modes are needed"):
+        scenario_responses([short], resolve(made, "cpu"))
     halves = [{"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "right", "area": (0.1, 0.2, 0.0, 0.2)}]
     tables = scene().model_dump(exclude={"target"})
     with pytest.raises(SceneError, match=r"^search\.robust: not with several \[\[targets\]\]"):

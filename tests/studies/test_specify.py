@@ -349,6 +349,15 @@ def test_waveforms_that_are_not_used_are_said():
         (["specification.level={velocity=1,target='a'}"], "'a': there are no [[targets]]"),
         (["specification.tolerance={gaskt=0.1}"], "specification.tolerance: gaskt: is not a key of this scene"),
         (["specification.tolerance={'actuators[0].resistance'=0.1}"], "resistance: is 0 or not written in the scene"),
+        (
+            ["specification.tolerance={'plate.thickness'=0.9999}", "specification.frequency=230", COARSE],
+            "specification.tolerance: plate.thickness × 0.0001: specification.frequency: about",
+        ),
+        (
+            ["plate.poisson_ratio=0.3", "specification.tolerance={'plate.poisson_ratio'=0.99}", COARSE],
+            "specification.tolerance: plate.poisson_ratio × 1.99: plate.poisson_ratio = 0.",
+        ),
+        (["specification={level={velocity=1}}", "drive.frequency=1e7"], "drive.frequency: about"),
         (["specification.guard=1.0"], "specification.guard: leaves nothing of the plate"),
         (["specification.elsewhere={relative_db=-10,area=[0.23,0.25,0.06,0.07]}"], "elsewhere[0].area: nothing of it"),
         (["links={}", "edges.left='supported'", "target.area=[0.0,0.02,0.05,0.07]"], "at all points in phase"),

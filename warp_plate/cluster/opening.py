@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.tasks import DEVICE_VARIABLE
 from warp_plate.interrupts import TERMINAL_SIGNALS, check_interrupt, deferred_interrupts
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, under
 from warp_plate.solve.devices import find_device
 
 if TYPE_CHECKING:
@@ -90,10 +90,8 @@ def _device_names(text: str) -> list[str]:
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise SceneError(f"--devices {text}: must be devices with commas between, such as cuda:0,cuda:1 or cpu,cpu")
-    try:
+    with under(f"--devices {text}"):
         return [find_device(name).alias for name in names]
-    except SceneError as error:
-        raise SceneError(f"--devices {text}: {error}") from None
 
 
 def _scheduler_address(cluster: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from warp_plate.fitting.least_squares import Prediction, Residuals, Weigh, exchangeable, fit_least_squares
 from warp_plate.fitting.verdict import Verdict
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, under
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene
 
@@ -51,10 +51,8 @@ class FreeNumbers:
 
     def _panel_with(self, values: np.ndarray) -> Scene:
         panel = self.scene.model_copy(update={"fit": None})
-        try:
+        with under("fit.free: a range reaches too far"):
             return panel.with_values(dict(zip(self.keys, values.tolist(), strict=True)))
-        except SceneError as error:
-            raise SceneError(f"fit.free: a range reaches too far: {error}") from None
 
     def neighbours(self, fractions: np.ndarray, index: int, central: bool) -> tuple[Scene, Scene | None, float]:
         """Return scenes with a larger and a smaller value of a number, whose difference is the derivative by its

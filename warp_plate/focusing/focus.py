@@ -25,7 +25,7 @@ from warp_plate.focusing.wishes import Wish, make_wish
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.uncertainty import Scenario, draw_scenarios
 from warp_plate.result.focus import FocusedWaveforms, FocusResult, PanelFigures
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, under
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.model import Scene, SceneSource
 
@@ -141,6 +141,7 @@ def _measure_panels(scene: Scene, wish: Wish, waveforms: dict[str, np.ndarray]) 
     }
 
 
+@under("search.robust")
 def _panel_responses(panel: Scenario, wish: Wish) -> np.ndarray:
     """Return h (actuators, foci, recorded) of one panel, with the gains of its actuators."""
     return HeldResponses.of_scene(panel.scene, wish.recorded).at_foci() * panel.gain[:, None, None]

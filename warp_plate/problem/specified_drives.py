@@ -72,7 +72,7 @@ class Tone:
             amplitudes = -(omega**2) * plate.respond_to_drives(np.array([[self.frequency]]), forces[None])[0]
             if not np.isfinite(amplitudes).all():
                 what = "is a natural frequency of an undamped plate; write damping, or another frequency"
-                raise SceneError(f"specification.frequency: {self.frequency:g} Hz {what}")
+                raise SceneError(f"{self.requirements.specification.frequency_key}: {self.frequency:g} Hz {what}")
             return amplitudes
         # One solution takes less time than the poles of all modes.
         stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)

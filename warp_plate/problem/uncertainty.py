@@ -23,7 +23,7 @@ from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.resolve import Resolved
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, under
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import WITHOUT_KEYS, Scene
 from warp_plate.scene.search import Robust
@@ -68,7 +68,8 @@ def draw_scenarios(
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     varied = np.random.default_rng([seed, int(validation), 1]).random((count, len(robust.tolerance)))
     scenes = (_varied(scene, robust, row) for row in varied)
-    scenarios = [_scenario(some, robust, row) for some, row in zip(scenes, numbers, strict=True)]
+    with under("search.robust"):
+        scenarios = [_scenario(some, robust, row) for some, row in zip(scenes, numbers, strict=True)]
     if not stepped or scene.modal_only_key is not None:
         return tuple(scenarios)
     step = _common_step(scene, scenarios)
@@ -248,6 +249,7 @@ def scenario_responses(scenarios: Sequence[Scenario], resolved: Resolved) -> Sce
     return ScenarioLosses(tuple(measured), np.concatenate(matrices), (seconds, node_steps))
 
 
+@under("search.robust")
 def _scenario_plates(
     scenario: Scenario, resolved: Resolved, pool: WorkerPool | None = None, memory_share: float = 1.0
 ) -> ScenarioPlates:

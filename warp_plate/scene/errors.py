@@ -4,7 +4,8 @@ import datetime
 import json
 import math
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from numbers import Integral
 from typing import Any, cast
 
@@ -20,6 +21,15 @@ class SceneError(ValueError):
     def __init__(self, message: str) -> None:
         line = printable(" ".join(line.strip() for line in message.splitlines()))
         super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
+
+
+@contextmanager
+def under(head: str) -> Iterator[None]:
+    """Begin errors with the key or file, if one is given, whose value led to what they name; or a decorator."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{head}: {error}" if head else str(error)) from None
 
 
 def check_type(key: str, value: object, *kinds: type) -> None:

@@ -15,7 +15,7 @@ from pydantic import PrivateAttr, ValidationError, model_validator
 from warp_plate.effects.layers import check_layers
 from warp_plate.effects.table import check_modal_tables
 from warp_plate.scene.actuator import Actuator
-from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.errors import SceneError, check_type, under
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import Area, check_area
 from warp_plate.scene.grid import Grid, grid_by_waves
@@ -77,10 +77,8 @@ class Scene(SceneTables):
         check_type("text", text, str)
         tables = parse_toml(text, name)
         assign(tables, assignments)
-        try:
+        with under(name):
             return Scene.from_tables(with_drawing(tables, folder))
-        except SceneError as error:
-            raise SceneError(f"{name}: {error}") from None
 
     @staticmethod
     def from_tables(tables: Mapping[str, Any]) -> Scene:

@@ -181,6 +181,11 @@ class Specification(Table):
     """Relative tolerances of numbers of the scene, by their keys."""
 
     @property
+    def frequency_key(self) -> str:
+        """Key of the frequency."""
+        return "drive.frequency" if self.frequency is None else "specification.frequency"
+
+    @property
     def sound_key(self) -> str | None:
         """First key that limits the sound of the plate; None if none."""
         keys = [key for key in ("sound", "pressures") if getattr(self.limits, key) not in (None, ())]

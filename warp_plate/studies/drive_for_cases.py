@@ -14,6 +14,7 @@ from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
 from warp_plate.problem.specified_drives import Ratios, Scaled, Tone, solve_together
 from warp_plate.result.specified import Scatter
+from warp_plate.scene.errors import under
 from warp_plate.scene.keys import resolved_key, value_of
 
 # Rounds of a drive for all cases of the tolerances, those of one of several frequencies that are tried for it, and how
@@ -57,9 +58,11 @@ def drive_for_cases(
     tones = []
     for case in factors:
         check_interrupt()
-        varied = scene.with_values({key: float(value_of(scene, key)) * factor for key, factor in case.items()})
-        plate = solve_modes(varied, max(frequency for frequency, _ in starts))
-        tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
+        named = ", ".join(f"{key} × {factor:g}" for key, factor in case.items() if factor != 1)
+        with under(named and f"specification.tolerance: {named}"):
+            varied = scene.with_values({key: float(value_of(scene, key)) * factor for key, factor in case.items()})
+            plate = solve_modes(varied, max(frequency for frequency, _ in starts), key=specification.frequency_key)
+            tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
 
     def at(frequency: float, some: Sequence[Tone] = tones) -> list[Tone]:
         return [replace(one, frequency=frequency, points=dict(one.points)) for one in some]

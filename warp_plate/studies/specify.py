@@ -68,7 +68,7 @@ def specify(
         raise SceneError("specification: is missing; write for example [specification] level = { acceleration_g = 1 }")
     check_linear(scene, None)
     low, high = _range(scene, specification)
-    plate = solve_modes(scene, high, key="specification.frequency")
+    plate = solve_modes(scene, high, key=specification.frequency_key)
     largest = _largest_drives(scene, specification)
     requirements = make_requirements(plate)
     scaled: Scaled = "elsewhere" if requirements.rests else "actuators"
@@ -105,8 +105,8 @@ def _range(scene: Scene, specification: Specification) -> tuple[float, float]:
     frequency = specification.frequency or scene.drive.frequency
     low, high = frequency if isinstance(frequency, tuple) else (frequency, frequency)
     if low < LOWEST:
-        key = "specification.frequency" if specification.frequency else "drive.frequency"
-        raise SceneError(f"{key} = {low:g}: must be at least {LOWEST:g} Hz, as slower drives hardly accelerate a plate")
+        least = f"must be at least {LOWEST:g} Hz, as slower drives hardly accelerate a plate"
+        raise SceneError(f"{specification.frequency_key} = {low:g}: {least}")
     return low, high
 
 
