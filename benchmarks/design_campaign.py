@@ -32,8 +32,9 @@ from error_bars.judge import true_factors
 from random_panels import designed_scene, shaped_scene, symmetric_scene, true_mass, varied_scene
 
 from warp_plate import Scene, SceneError
+from warp_plate.designing.candidates import gridded
 from warp_plate.designing.design import design
-from warp_plate.designing.panel import FreePanel, gridded
+from warp_plate.designing.panel import FreePanel
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
 

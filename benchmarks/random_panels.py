@@ -10,7 +10,8 @@ from error_bars.elements import Side, density_at
 from error_bars.scenes import random_scene
 
 from warp_plate import Scene
-from warp_plate.designing.panel import FreePanel, gridded
+from warp_plate.designing.candidates import gridded
+from warp_plate.designing.panel import FreePanel
 from warp_plate.modal.assemble import make_galerkin
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint
 from warp_plate.modal.solver import ModalSolver

@@ -369,6 +369,19 @@ def test_a_scene_without_better_panels_stays(monkeypatch):
             "design.objective: sound is that of a steady state",
         ),
         ({"thickness": THICKNESS, "limits": {"power": 0.1}}, "design.limits.power: power is that of a steady state"),
+        ({"thickness": THICKNESS, "frequencies": [290, 1e5]}, "^design.frequencies: 100000 Hz: about .* modes"),
+        (
+            {"thickness": THICKNESS, "frequencies": [1e3], "tolerance": {"plate.thickness": 0.999}},
+            "^design.tolerance: plate.thickness × 0.001: design.frequencies: 1000 Hz: about .* modes",
+        ),
+        (
+            {"thickness": THICKNESS, "tolerance": {"plate.poisson_ratio": 0.99}},
+            "^design.tolerance: plate.poisson_ratio × 1.99: plate.poisson_ratio = .*: must be less than 0.5",
+        ),
+        (
+            {"free": {"plate.thickness": [1e-6, 2e-6]}, "starts": 1, "iterations": 1},
+            "^design: a range reaches too far: drive.frequency: about .* modes",
+        ),
         ({"thickness": THICKNESS, "effort": "drive"}, "effort: is of energy_target, .*, and not of bound; delete it"),
     ],
 )

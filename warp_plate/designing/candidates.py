@@ -14,14 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.designing.panel import FreePanel, gridded
+from warp_plate.designing.panel import FreePanel
 from warp_plate.effects.effect import attachments
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.grid import Grid
 from warp_plate.scene.keys import linked_keys, resolved_key
 from warp_plate.scene.model import Scene
 
+# Grid of scenes that have none.
+NODES = (21, 21)
 # What is 0 of a candidate that is left out, the first that it has; and the part of those in excess that are left out at
 # a time.
 MEASURES, PART = ("thickness", "mass"), 4
@@ -157,3 +160,10 @@ def ceiling(scene: Scene) -> float | None:
         for tone in tones
     ]
     return min(ModalSolver(gridded(one), "cpu").response.bound() for one in drives)
+
+
+def gridded(scene: Scene) -> Scene:
+    """Return a scene with some grid, which modes do not need."""
+    if scene.grid.accuracy is None:
+        return scene
+    return scene.model_copy(update={"grid": Grid(nodes=NODES, modal_density=scene.grid.modal_density)})

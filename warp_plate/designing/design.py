@@ -24,8 +24,8 @@ import scipy
 from warp_plate._version import __version__
 from warp_plate.accuracy.reference_solution import FINER, refine_until
 from warp_plate.accuracy.richardson import extrapolate_drives
-from warp_plate.designing.candidates import Candidates, ceiling, without
-from warp_plate.designing.panel import MARGIN, FreePanel, Value, gridded
+from warp_plate.designing.candidates import Candidates, ceiling, gridded, without
+from warp_plate.designing.panel import MARGIN, FreePanel, Value
 from warp_plate.effects.effect import attachments
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.modal.solver import ModalSolver
@@ -33,7 +33,7 @@ from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.files import digests
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.designed import DesignedPanel, PanelValues, StepCheck
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, under
 from warp_plate.scene.fit import Design
 from warp_plate.scene.model import Scene, SceneSource
 
@@ -124,7 +124,8 @@ def design(
         best, own = np.array(climb.numbers), _panel_of(panel, climb)
         designed, solved = own.scene_at(best), list[PanelValues]()
         for density, present in zip(DENSITIES, [before, *more], strict=True):
-            after = candidates.counted(own.exact(designed, density), climb.left_out)
+            with under("design: a range reaches too far"):
+                after = candidates.counted(own.exact(designed, density), climb.left_out)
             better = after.value < present.value if settings.lowers else after.value > present.value
             if not (after.kept and (better or not present.kept)):
                 break

@@ -28,15 +28,12 @@ from warp_plate.modal.sensitivity.forms import PlateForms, PlateMatrices
 from warp_plate.modal.spaces.chords import Chords
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.designed import PanelValues
-from warp_plate.scene.errors import SceneError
-from warp_plate.scene.grid import Grid
+from warp_plate.scene.errors import SceneError, under
 from warp_plate.scene.keys import ALTERNATIVES, key_parts, linked_keys, put, resolved_key, scalar_keys, value_of
 from warp_plate.scene.model import Scene
 
-# Grid of scenes that have none, and the key of the frequency.
-NODES, TONE = (21, 21), "drive.frequency"
-# Key of the target in a case of a scene with several.
-AIM = "targets"
+# Keys of the frequency in a case, and of the target in one of a scene with several.
+TONE, AIM = "drive.frequency", "targets"
 # Parts by which limits are narrower for the fewer functions of the search, of energies the second. Half of the
 # first may be passed.
 MARGIN, ENERGY_MARGIN = 2e-3, 1e-2
@@ -355,7 +352,7 @@ class FreePanel:
         bound, values = largest(np.stack([nominal["plate"], nominal["target"]]))[0], []
         for case in self.cases:
             other = _in_case(scene, {}, case)
-            forms = nominal if other is scene else self._forms(other, density)
+            forms = nominal if other is scene else self._forms(other, density, case)
             values.append(judge(self.design, forms).value)
             for key, one in limits(self.design, forms):
                 excess[key] = max(one.value, excess.get(key, -math.inf))
@@ -371,9 +368,14 @@ class FreePanel:
             excess[f"mode {number}"] = float(max(1 - plate.frequencies[at] / low, plate.frequencies[at] / high - 1))
         return PanelValues(bound, self.shown(min(values)), excess)
 
-    def _forms(self, scene: Scene, density: float) -> PlateForms:
-        plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density)
-        return PlateForms(plate, self.design.steady)
+    def _forms(self, scene: Scene, density: float, case: Mapping[str, float] | None = None) -> PlateForms:
+        """Return the forms of a scene, which is that of a case or the nominal one."""
+        key = None
+        if case is not None and self.design.frequencies is not None:
+            key = f"design.frequencies: {case[TONE]:g} Hz"
+        with under(_tolerance(case or {})):
+            plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density, key=key)
+            return PlateForms(plate, self.design.steady)
 
     def shown(self, value: float) -> float:
         """Return the quantity that is maximised, or lowered, in its unit."""
@@ -386,15 +388,11 @@ def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float
     for key in case.keys() - {AIM}:
         changed[key] = case[key] if key == TONE else case[key] * changed.get(key, value_of(scene, key))
     changed = {key: value for key, value in changed.items() if value_of(scene, key) != value}
-    try:
+    with under(_tolerance(case) or "design.free: a range reaches too far"):
         scene = scene.with_values(changed) if changed else scene
-    except SceneError as error:
-        raise SceneError(f"design.free: a range reaches too far: {error}") from None
     return scene.aimed_at(int(case[AIM])) if AIM in case else scene
 
 
-def gridded(scene: Scene) -> Scene:
-    """Return a scene with some grid, which modes do not need."""
-    if scene.grid.accuracy is None:
-        return scene
-    return scene.model_copy(update={"grid": Grid(nodes=NODES, modal_density=scene.grid.modal_density)})
+def _tolerance(case: Mapping[str, float]) -> str:
+    """Return the key of the tolerances with that of a case; "" of a case without."""
+    return "".join(f"design.tolerance: {key} × {case[key]:g}" for key in case.keys() - {TONE, AIM})
