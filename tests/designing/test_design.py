@@ -369,6 +369,12 @@ def test_a_scene_without_better_panels_stays(monkeypatch):
             "design.objective: sound is that of a steady state",
         ),
         ({"thickness": THICKNESS, "limits": {"power": 0.1}}, "design.limits.power: power is that of a steady state"),
+        (
+            {"thickness": THICKNESS, "limits": {"gap": [1e-30, 1e30]}},
+            r"^design.limits.gap = \[1e-30, 1e\+30\]: must end below \d+(\.\d)? Hz, up to which",
+        ),
+        ({"thickness": THICKNESS, "limits": {"gap": [300.0, 9e3]}}, "^design.limits.gap = .*: must end below"),
+        ({"thickness": THICKNESS, "limits": {"modes": {"999": [9, 10]}}}, "^design.limits.modes: 999: must be at most"),
         ({"thickness": THICKNESS, "frequencies": [290, 1e5]}, "^design.frequencies: 100000 Hz: about .* modes"),
         (
             {"thickness": THICKNESS, "frequencies": [1e3], "tolerance": {"plate.thickness": 0.999}},

@@ -87,6 +87,7 @@ def design(
         least = f"at most {MOST_LIMITED}; write a larger design.thickness.length_scale"
         raise SceneError(f"design.limits: {panel.count} free numbers; with limits {least}")
     candidates = Candidates(panel)
+    panel.follow(panel.start())  # or refuse the gap
     begin = loaded.model_copy(update={"design": None})
     before, *more = (candidates.counted(panel.exact(begin, density), ()) for density in DENSITIES)
     file = None if unfinished is None else Path(unfinished)

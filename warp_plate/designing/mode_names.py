@@ -11,6 +11,7 @@ frequencies may cross.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -26,12 +27,18 @@ EQUAL, MORE = 1e-4, 12
 
 
 class NamedModes:
-    """The modes of a scene with some numbers, from 1 on; SceneError: a frequency is repeated, and has no shape."""
+    """The modes of a scene with some numbers, from 1 on, that are sought in panels of so many functions.
 
-    def __init__(self, scene: Scene, numbers: Iterable[int]) -> None:
+    SceneError: These are too few, or a frequency is repeated, and has no shape.
+    """
+
+    def __init__(self, scene: Scene, numbers: Iterable[int], functions: float = math.inf) -> None:
         self.numbers = list(numbers)
         if not self.numbers:
             return
+        if _sought(max(self.numbers)) > functions:
+            most = f"must be at most {(functions - MORE) // 2} for the frequency of this drive"
+            raise SceneError(f"design.limits.modes: {max(self.numbers)}: {most}")
         plate = solve_modes(scene, count=max(self.numbers) + 1)
         frequencies = plate.frequencies
         if frequencies.size <= max(self.numbers):
@@ -48,10 +55,15 @@ class NamedModes:
         """Return the index of each of them among modes of a panel, vectors (unknowns, modes) by rising frequency."""
         if not self.numbers:
             return []
-        shapes = self._of(space, vectors[:, : 2 * max(self.numbers) + MORE])
+        shapes = self._of(space, vectors[:, : _sought(max(self.numbers))])
         return list(((self._shapes @ shapes.T) ** 2).argmax(axis=1).tolist())
 
     def _of(self, space: FunctionSpace, vectors: np.ndarray) -> np.ndarray:
         """Return (modes, points) shapes times roots of the weights, of length 1."""
         shapes = space.sums_at_points(vectors[: space.unknowns].T, self._points) * np.sqrt(self._weights)
         return np.asarray(shapes / np.linalg.norm(shapes, axis=1, keepdims=True))
+
+
+def _sought(number: int) -> int:
+    """Return among how many modes that with a number is sought."""
+    return 2 * number + MORE

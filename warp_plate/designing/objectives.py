@@ -33,6 +33,10 @@ NO_EFFORT, ROUNDING = 1e-8, 1e-13
 LEAST = {"energy_target": "energy_target", **{f"least_{name}": name for name in AMPLITUDES}}
 
 
+# Natural frequencies on either side of the gap that count.
+NEAR = 6
+
+
 @dataclass(frozen=True)
 class Judged:
     """A number of a panel, and its slopes by the forms under a drive."""
@@ -122,6 +126,15 @@ def check_steady(design: Design, scene: Scene) -> None:
     sounds = next((key for key, name in used.items() if name == "sound"), None)
     if sounds is not None and scene.effects.air is not None and not scene.effects.air.baffle:
         raise SceneError(f"{sounds}: sound is that of a plate in a baffle; delete effects.air.baffle")
+
+
+def check_gap(design: Design, natural: np.ndarray) -> None:
+    """Raise a SceneError unless some natural frequencies (n,) [Hz] of a panel, rising, are above the gap, which would
+    mean nothing without them."""
+    gap, highest = design.limits.gap, float(natural[-NEAR:][0])
+    if gap is not None and gap[1] >= highest:
+        least = f"must end below {highest:.5g} Hz, up to which natural frequencies are computed for this drive"
+        raise SceneError(f"design.limits.gap = {list(gap)}: {least}")
 
 
 def uses_sound(design: Design) -> bool:

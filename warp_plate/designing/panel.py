@@ -19,7 +19,7 @@ import numpy as np
 from warp_plate.designing.functions import PanelFunctions, is_shape, shape_step
 from warp_plate.designing.mode_names import NamedModes
 from warp_plate.designing.numbers import SMOOTH_STEP, STEP, NumberSlopes, PanelSlopes, panel_mass
-from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
+from warp_plate.designing.objectives import NEAR, check_gap, check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import make_galerkin
 from warp_plate.modal.modes import solve_modes
@@ -37,9 +37,8 @@ TONE, AIM = "drive.frequency", "targets"
 # Parts by which limits are narrower for the fewer functions of the search, of energies the second. Half of the
 # first may be passed.
 MARGIN, ENERGY_MARGIN = 2e-3, 1e-2
-# Natural frequencies on either side of the gap that count, steepness of their aggregate, and the part of the gap's ends
-# up to which a motion is rigid.
-NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
+# Steepness of the aggregate of natural frequencies at the gap, and the part of its ends up to which a motion is rigid.
+STEEPNESS, STILL = 500.0, 1e-3
 # Numbers of attachments with slopes of their own.
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
 # Numbers of actuators that are no part of the panel.
@@ -243,6 +242,7 @@ class FreePanel:
         """Let as many natural frequencies stay below the gap as are below its middle at free numbers (count,)."""
         if (gap := self.design.limits.gap) is not None:
             natural = self._adjoint(numbers, self.cases[0]).natural
+            check_gap(self.design, natural)
             self.below = int(np.searchsorted(natural, sum(gap) / 2))
 
     def _panel_limits(self, adjoint: EnergyAdjoint) -> Iterator[tuple[float, PlateMatrices, float]]:
@@ -254,8 +254,8 @@ class FreePanel:
             yield panel_mass(adjoint.plate.galerkin) / most - 1, nothing, 1 / most
         if limits.gap is not None:
             low, high = limits.gap[0] * (1 - MARGIN), limits.gap[1] * (1 + MARGIN)
-            lower = np.arange(max(self.below - NEAR, 0), self.below)
-            for sign, end, near in ((1, low, lower), (-1, high, self.below + np.arange(NEAR))):
+            lower, upper = np.split(np.arange(adjoint.natural.size), [self.below])
+            for sign, end, near in ((1, low, lower[-NEAR:]), (-1, high, upper[:NEAR])):
                 near = near[adjoint.natural[near] > STILL * end]
                 if near.size:  # the aggregate of Kreisselmeier and Steinhauser, smooth where frequencies are equal
                     ratios = adjoint.natural[near] / end
@@ -273,7 +273,7 @@ class FreePanel:
     @cached_property
     def _named(self) -> NamedModes:
         """Modes of the scene whose frequencies are limited."""
-        return NamedModes(self.scene, map(int, self.design.limits.modes))
+        return NamedModes(self.scene, map(int, self.design.limits.modes), self._functions.space.unknowns)
 
     def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
         """Return the slopes (n, count) by free numbers (count,) in a case of n numbers with slopes by the panel."""
@@ -360,6 +360,7 @@ class FreePanel:
             excess["mass"] = panel_mass(nominal.plate.galerkin) / given.mass - 1
         if given.gap is not None:
             (low, high), natural = given.gap, nominal.plate.frequencies
+            check_gap(self.design, natural)
             inside = np.minimum(natural / low - 1, 1 - natural / high)
             excess["gap"] = float(inside.max())
         plate = nominal.plate
