@@ -283,14 +283,13 @@ def _cells(
     smooth: cells are the smaller the nearer they are to the middles of squares, at whose sides they are cut."""
     cells = np.array([[-math.inf, math.inf, low, high] for low, high in pairwise(ordinates.tolist())])
     for x, y, size in sorted(near, key=lambda square: -square[2]):
-        square = np.array([x - size, x + size, y - size, y + size])
         about = np.array([x, x, y, y]) + ENLARGED * size * np.array([-1, 1, -1, 1])
         met = (cells[:, ::2] < about[1::2]).all(axis=1) & (cells[:, 1::2] > about[::2]).all(axis=1)
         parts = [
             [*across, *up]
-            for cell in cells[met]
-            for across in pairwise(np.unique([*cell[:2], *np.clip(square[:2], *cell[:2])]).tolist())
-            for up in pairwise(np.unique([*cell[2:], *np.clip(square[2:], *cell[2:])]).tolist())
+            for first, last, low, high in cells[met].tolist()
+            for across in pairwise(sorted({first, last, *(min(max(at, first), last) for at in (x - size, x + size))}))
+            for up in pairwise(sorted({low, high, *(min(max(at, low), high) for at in (y - size, y + size))}))
         ]
         cells = np.concatenate([cells[~met], np.reshape(parts, (-1, 4))])
     sides = np.unique(cells[:, :2])[1:-1].tolist() if near else []
