@@ -138,6 +138,21 @@ SPLINE += [(40, knot) for knot in (0, 0, 0, 0, 1, 1, 1, 1)]
 CONTROLS = [*zip((10, 20) * 4, (0, 0, 9, 0, 9, 9, 0, 0), strict=True)]
 
 
+HOLE = "<circle id='c' class='b a' cx='30' cy='40' r='5' %s/>"
+MOVED = (
+    *("transform='rotate(9 5)'", "transform='matrix(1 0 0)'", "transform-origin='30 40'", "clip-path='circle(3px)'"),
+    *("mask='url(#k)'", "visibility='inherit'", "style='r:10%'", "style='r:-5px'", "style='display:none !important'"),
+    *("style='transform:rotate(9deg)'", "systemLanguage='de'"),
+)
+MOVING = ("translate", "rotate", "scale", "offset-path", "transform-box", "transform-origin", "zoom", "d")
+SHEETS = {
+    ".a{transform-origin:3px 3px}": "circle 'c': transform-origin = '3px 3px'",
+    "g .a { display: none }": "a style sheet holds 'g .a { display: none', which is not read",
+    "@media print{.a{display:none}}": "a style sheet holds '@media'",
+    ".b{.a{display:none}}": "a style sheet holds '.b{.a{display:none'",
+}
+
+
 @pytest.mark.parametrize(
     ("data", "suffix", "message"),
     [
@@ -190,6 +205,20 @@ CONTROLS = [*zip((10, 20) * 4, (0, 0, 9, 0, 9, 9, 0, 0), strict=True)]
             ".svg",
             "stretch its viewBox",
         ),
+        *((svg(HOLE % text), ".svg", "circle 'c': .* is not read; apply or remove it") for text in MOVED),
+        *((svg(HOLE % f"style='{key}:9px'"), ".svg", f"circle 'c': {key} = '9px'") for key in MOVING),
+        *((svg(f"<style>{text}</style>{HOLE % ''}"), ".svg", message) for text, message in SHEETS.items()),
+        (svg(f"<g clip-path='url(#k)'>{HOLE % ''}</g>"), ".svg", r"g: clip-path = 'url\(#k\)' is not read"),
+        (svg(f"<switch><g/>{HOLE % ''}</switch>"), ".svg", "switch is not read"),
+        (svg(f"<svg id='a' width='9'>{HOLE % ''}</svg>"), ".svg", "nested svg 'a' is not read"),
+        (svg("<rect width='9'><animate/></rect>"), ".svg", "animate is not read"),
+        (svg("", head="<?xml-stylesheet href='a.css'?>"), ".svg", r"holds '<\?xml-stylesheet'"),
+        (svg("", "display='none'"), ".svg", "svg: display = 'none' is not read"),
+        (
+            svg("<path id='a' d='M0 0A1e-300 5 0 1 1 5 0Z'/>"),
+            ".svg",
+            "path 'a': d = 'M0 0A1e-300 5 0 1 1 5 0Z' is not read",
+        ),
         (b"<svg xmlns='urn:x' width='9mm'/>", ".svg", "not SVG: its root is '{urn:x}svg'"),
         (svg("<rect visibility='hidden' width='9' height='9'/><path/>"), ".svg", "holds no contours"),
         (svg("<symbol><rect width='9' height='9'/></symbol>"), ".svg", "holds no contours"),
@@ -204,6 +233,26 @@ def test_broken_files_are_refused_by_the_names_of_their_pieces(data, suffix, mes
     with pytest.raises(ValueError, match=message) as caught:
         read_drawing(data, suffix)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        (HOLE % "style='transform:scale(2);transform-origin:0 0; r:/* */3px'", (60, 80, 6)),
+        (HOLE % "style='fill:none' transform='translate(-1.5.5)'", (28.5, 40.5, 5)),
+        ("<style>@font-face{src:url(//a)}.a{r:3px}.b{r:9px}</style>" + HOLE % "", (30, 40, 9)),
+        (HOLE % "" + "<style>.a{r:3px}*{r:9px}</style>", (30, 40, 3)),
+        ("<style>#c{display:inline}circle.a{display:none}</style>" + HOLE % "", (30, 40, 5)),
+        ("<g cx='9' rx='9'><circle cy='40' r='5'/></g>", (0, 40, 5)),
+        (f"<switch><foreignObject/><g>{HOLE % ''}</g></switch>", (30, 40, 5)),
+        (HOLE % "" + f"<style>.z{{display:none}}</style><g class='z'>{HOLE % ''}</g>", (30, 40, 5)),
+        (HOLE % "" + f"<text>{HOLE % ''}</text><rect x='20' height='9'/>", (30, 40, 5)),
+    ],
+)  # fmt: skip
+def test_shapes_are_where_viewers_draw_them(body, expected):
+    _, hole = read_drawing(svg(f"<rect x='-20' width='120' height='100'/>{body}"), ".svg")
+    x, y, radius = expected
+    assert hole[0][:4] == pytest.approx([(20 + x + radius) / 1e3, (100 - y) / 1e3, (20 + x) / 1e3, (100 - y) / 1e3])
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import numpy as np
 from warp_plate.outline.contours import LEAST_TURN, Curve, arcs_of_curve, chord, joined, mapped, rows_of_loop
 from warp_plate.outline.outline import bounds, make_outline
 from warp_plate.outline.pieces import Arc, Piece, Straight
+from warp_plate.outline.svg_trees import LONGEST_NAME, make_plain
 
 # SVG files are read at some 10 s for a megabyte, DXF files at some seconds.
 MOST_BYTES, MOST_PIECES = {".svg": 2 * 10**6, ".dxf": 10**7}, 2000
@@ -35,19 +36,8 @@ Drawn = Piece | tuple[str, Curve, float, float]
 FARTHEST = 1e12
 BROKEN = (ArithmeticError, AttributeError, LookupError, TypeError, RecursionError)
 LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
-# What attributes of SVG shapes may hold, for what else they hold would be skipped in silence.
-NUMBERS = r"[\s\d.,eE+-]*"
-LENGTH = r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?(?:px|mm|cm|in|pt|pc|Q|%)?\s*"
-ATTRIBUTES = {
-    "d": r"\s*(?:[Mm][\s\d.,+\-MmZzLlHhVvCcSsQqTtAaEe]*)?",
-    "points": NUMBERS,
-    "transform": rf"(?:[\s,]*(?:matrix|translate|scale|rotate|skewX|skewY)\s*\({NUMBERS}\))*[\s,]*",
-} | dict.fromkeys(("x", "y", "width", "height", "rx", "ry", "cx", "cy", "r", "x1", "y1", "x2", "y2"), LENGTH)
-SVG_SHAPES = ("g", "path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
-# Elements whose shapes are drawn where others refer to them, and bytes of a style sheet that are read in a second.
-REFERRED, MOST_STYLE = ("symbol", "mask", "marker", "pattern", "clipPath"), 20_000
-# Characters of names in messages; arcs that turn by less [rad] are straight.
-LONGEST_NAME, STRAIGHT = 60, 1e-6
+# Arcs that turn by less [rad] are straight.
+STRAIGHT = 1e-6
 
 
 @np.errstate(all="ignore")
@@ -118,7 +108,7 @@ def _chord(name: str, curve: Curve, low: float, high: float) -> Piece:
 def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, list[Drawn]]:
     """Return metres in a user unit, and what an SVG file draws, in user units with y downwards."""
     # Entities and clones can stand for far more than the file holds; zero bytes hide them from this search.
-    if (banned := re.search(r"<!ENTITY|<(?:[\w.-]+:)?use[\s/>]|\0", text)) is not None:
+    if (banned := re.search(r"<!ENTITY|<(?:[\w.-]+:)?use[\s/>]|<\?xml-stylesheet|\0", text)) is not None:
         raise ValueError(f"holds {banned[0].strip()!r}, which is not read; unlink clones and save as plain SVG")
     try:
         import svgelements as svg
@@ -130,8 +120,8 @@ def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, 
         raise ValueError(f"not SVG: {error}") from None
     if root.tag not in ("svg", "{http://www.w3.org/2000/svg}svg"):
         raise ValueError(f"not SVG: its root is {root.tag[:200]!r}")
+    make_plain(svg, root)
     scale = _svg_unit(root.attrib, unit)
-    _check_svg(svg, root)
     document = svg.SVG.parse(io.StringIO(ElementTree.tostring(root, "unicode")), reify=False)
     undo = svg.Matrix(document.viewbox_transform or "")
     undo.inverse()
@@ -147,27 +137,6 @@ def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, 
             if len(drawn) > MOST_PIECES:
                 break  # refused with the arcs of curves
     return scale, drawn
-
-
-def _check_svg(svg: Any, root: ElementTree.Element) -> None:
-    """Remove what is not drawn itself from a tree; ValueError: an attribute of a shape is not read as it is written."""
-    for parent in root.iter():
-        for child in list(parent):
-            tag = child.tag.rpartition("}")[2]
-            if tag in REFERRED or (tag == "path" and not child.get("d")):
-                parent.remove(child)
-            elif tag == "style" and len(child.text or "") > MOST_STYLE:
-                raise ValueError(f"a style sheet of {len(child.text or '')} bytes; at most {MOST_STYLE} are read")
-            for key, value in child.items() if tag in SVG_SHAPES else ():
-                try:
-                    readable = key not in ATTRIBUTES or re.fullmatch(ATTRIBUTES[key], value) is not None
-                    if readable and key == "d":
-                        svg.Path(value)
-                except ValueError:
-                    readable = False
-                if not readable:
-                    name = f"{tag} {child.get('id', '')[:LONGEST_NAME]!r}" if child.get("id") else tag
-                    raise ValueError(f"{name}: {key} = {value[:LONGEST_NAME]!r} is not read; save it as plain SVG")
 
 
 def _svg_unit(size: Any, unit: float | None) -> float:
