@@ -121,9 +121,10 @@ def svg(body, size='width="100mm" height="100mm" viewBox="0 0 100 100"', head=""
     return f'{head}<svg xmlns="http://www.w3.org/2000/svg" {size}>{body}</svg>'.encode()
 
 
-def dxf(*entities):
+def dxf(*entities, version="AC1015"):
     groups = "".join(f"{code}\n{value}\n" for entity in entities for code, value in entity)
-    return f"0\nSECTION\n2\nENTITIES\n{groups}0\nENDSEC\n0\nEOF\n".encode()
+    head = f"0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\n{version}\n0\nENDSEC\n"
+    return f"{head}0\nSECTION\n2\nENTITIES\n{groups}0\nENDSEC\n0\nEOF\n".encode()
 
 
 def line(*ends):
@@ -135,6 +136,7 @@ SQUARE = (line(0, 0, 9, 0), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 0, 0)
 
 SPLINE = [(0, "SPLINE"), (100, "AcDbEntity"), (100, "AcDbSpline"), (70, 8), (71, 3)]
 SPLINE += [(40, knot) for knot in (0, 0, 0, 0, 1, 1, 1, 1)]
+NO_RADIUS = r"CIRCLE \w+: cannot be read: it has no radius"
 CONTROLS = [*zip((10, 20) * 4, (0, 0, 9, 0, 9, 9, 0, 0), strict=True)]
 
 
@@ -267,6 +269,9 @@ def test_shapes_are_where_viewers_draw_them(body, expected):
         (([*SPLINE, *CONTROLS * 501],), r"SPLINE \w+: cannot be read: it has more than 2000 points; simplify it"),
         ((*SQUARE, line(20, 0, 30, 0)), r"LINE \w+ ends at \(20, 0\)"),
         ((*SQUARE, [(0, "INSERT"), (2, "screw"), (10, 1), (20, 1)]), r"INSERT \w+: is not read; explode it"),
+        *(((*SQUARE, [(0, "CIRCLE"), (10, 4), (20, 4), *radius]), NO_RADIUS) for radius in ([], [(40, -2)])),
+        ((*SQUARE, *[[(0, "CIRCLE"), (5, "AA"), (10, x), (20, 4), (40, 1)] for x in (2, 6)]), "two .* handle 'AA'"),
+        ((*SQUARE, [*SPLINE, *CONTROLS[:2], (30, 1), *CONTROLS[2:]]), "SPLINE .* not lie in the plane"),
         ((*SQUARE, [(0, "CIRCLE"), (10, 4), (20, 4), (40, 0)]), r"CIRCLE \w+: cannot be read: it has no radius"),
         ((*SQUARE, [(0, "CIRCLE"), (10, 4), (20, 4), (40, 2), (210, 1), (220, 0), (230, 0)]), "plane of x and y"),
         ((*SQUARE, [(0, "CIRCLE"), (10, 9), (20, 4), (40, 2)]), r"LINE \w+ crosses or touches CIRCLE \w+"),
@@ -275,6 +280,11 @@ def test_shapes_are_where_viewers_draw_them(body, expected):
 def test_dxf_entities_are_refused_by_their_handles(entities, message):
     with pytest.raises(ValueError, match=message):
         read_drawing(dxf(*entities), ".dxf", "mm")
+
+
+def test_entities_that_r12_has_not_are_refused_in_its_files():
+    with pytest.raises(ValueError, match=r"SPLINE \w+: R12 has none, and \$ACADVER is that"):
+        read_drawing(dxf(*SQUARE, [*SPLINE, *CONTROLS], version="AC1009"), ".dxf", "mm", layer="cut")
 
 
 def test_many_contours_that_touch_are_a_line_that_can_be_read():
@@ -295,11 +305,47 @@ def test_arcs_without_radius_are_straight():
     assert np.array(rows) == pytest.approx(1e-3 * np.array([(0, 5), (5, 0), (10, 5)]))
 
 
-def test_hidden_layers_are_skipped():
+def written(document):
+    stream = io.StringIO()
+    document.write(stream)
+    return stream.getvalue().encode()
+
+
+@pytest.mark.parametrize("attributes", [{"layer": "Construction"}, {"invisible": 1}, {"paperspace": 1}])
+def test_what_is_hidden_is_skipped(attributes):
     document = ezdxf.new("R2010")
     document.layers.add("construction").freeze()
     document.modelspace().add_lwpolyline([(0, 0), (9, 0), (9, 9)], close=True)
-    document.modelspace().add_circle((4, 2), 1, dxfattribs={"layer": "construction"})
-    stream = io.StringIO()
-    document.write(stream)
-    assert len(read_drawing(stream.getvalue().encode(), ".dxf", "m")) == 1
+    (document.paperspace() if "paperspace" in attributes else document.modelspace()).add_circle((4, 2), 1, attributes)
+    assert len(read_drawing(written(document), ".dxf", "m")) == 1
+
+
+@pytest.mark.parametrize("first", [0, -3])
+def test_periodic_splines_close(first):
+    document = ezdxf.new("R2010")
+    corners = np.array([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0), (9, 0), (9, 9)], dtype=float)
+    spline = document.modelspace().add_spline()
+    spline.set_uniform(corners, 3)
+    spline.knots = np.array(spline.knots) + first
+    (rows,) = read_drawing(written(document), ".dxf", "m", tolerance=1e-6)
+    t = np.linspace(0, 1, 1001)[:, None]
+    basis = np.hstack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
+    x, y = np.concatenate([basis[:-1] @ corners[index : index + 4] for index in range(4)]).T
+    area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    assert outline_of_rows([rows]).area == pytest.approx(area, rel=1e-5)
+
+
+def test_blocks_are_refused_where_they_reach_the_layer():
+    document = ezdxf.new("R2010")
+    document.header["$INSUNITS"] = 9
+    document.blocks.new("screw").add_circle((5, 1), 1, {"layer": "Cut"})
+    document.blocks.new("frame").add_blockref("screw", (0, 0))
+    document.modelspace().add_lwpolyline([(0, 0), (9, 0), (9, 9)], close=True, dxfattribs={"layer": "CUT"})
+    document.modelspace().add_blockref("frame", (0, 0))
+    with pytest.raises(ValueError, match=r"INSERT \w+: is not read; explode it"):
+        read_drawing(written(document), ".dxf", layer="cut")
+    document.blocks.get("screw").delete_all_entities()
+    (rows,) = read_drawing(written(document), ".dxf", layer="cut")
+    assert outline_of_rows([rows]).area == pytest.approx(81 / 2 * 2.54e-5**2)
+    with pytest.raises(ValueError, match=r"its \$INSUNITS state a unit of 2.54e-05 m, but unit one of 0.001 m"):
+        read_drawing(written(document), ".dxf", "mm", layer="cut")

@@ -6,7 +6,7 @@ import logging
 import math
 import re
 from collections.abc import Iterator
-from itertools import islice, pairwise
+from itertools import dropwhile, islice, pairwise, takewhile
 from typing import Any
 from xml.etree import ElementTree
 
@@ -23,7 +23,8 @@ MOST_BYTES, MOST_PIECES = {".svg": 2 * 10**6, ".dxf": 10**7}, 2000
 UNITS = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
 SVG_UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}
 PIXEL = 0.0254 / 96
-DXF_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}
+DXF_UNITS = {1: 0.0254, 2: 0.3048, 3: 1609.344, 4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 8: 2.54e-8, 9: 2.54e-5, 10: 0.9144}
+DXF_UNITS |= {11: 1e-10, 12: 1e-9, 13: 1e-6, 14: 0.1, 15: 10.0, 16: 100.0, 17: 1e9, 21: 1200 / 3937, 22: 100 / 3937}
 # Flattened curves are this part of the drawing's longer side off, unless a tolerance is given.
 TOLERANCE = 1e-5
 # Entities of DXF files that draw no contour.
@@ -240,16 +241,23 @@ def _read_dxf(text: str, unit: float | None, layer: str | None) -> tuple[float, 
         document = ezdxf.read(io.StringIO(text))
     except ezdxf.DXFError as error:
         raise ValueError(f"cannot be read as DXF: {_line(error)}") from None
+    _check_handles(text)
     # Files of R12 may have no such variable, for which ezdxf has a default.
     units = document.header.get("$INSUNITS", 0) if "$INSUNITS" in text else 0
     scale = _unit(DXF_UNITS.get(units), unit, "its $INSUNITS")
     drawn: list[Drawn] = []
     for entity in document.modelspace():
         kind, name = entity.dxftype(), f"{entity.dxftype()} {entity.dxf.get('handle', '')}"
-        on = entity.dxf.get("layer", "0") if entity.dxf.is_supported("layer") else "0"
+        if kind in ("LWPOLYLINE", "SPLINE") and document.dxfversion < "AC1012":
+            # Neither their layers nor their flags and directions are read by ezdxf.
+            raise ValueError(f"{name}: R12 has none, and $ACADVER is that or missing; save the file as R2000 or later")
+        on = _known(entity, "layer", "0")
         of_layer = document.layers.get(on) if document.layers.has_entry(on) else None
         hidden = of_layer is not None and (of_layer.is_off() or of_layer.is_frozen())
-        if kind in SILENT or hidden or layer not in (None, on):
+        wanted = layer is None or on.lower() == layer.lower()
+        if kind == "INSERT" and not wanted:
+            wanted = _block_reaches(document, entity.dxf.get("name", ""), layer, set())
+        if kind in SILENT or hidden or _known(entity, "invisible", 0) or not wanted:
             continue
         try:
             parts = list(islice(_dxf_pieces(entity, kind, name), MOST_PIECES + 1)) if kind in DRAWN else []
@@ -263,6 +271,36 @@ def _read_dxf(text: str, unit: float | None, layer: str | None) -> tuple[float, 
     return scale, drawn
 
 
+def _known(entity: Any, key: str, default: Any) -> Any:
+    """Return an attribute of an entity, whose kind may not have it."""
+    return entity.dxf.get(key, default) if entity.dxf.is_supported(key) else default
+
+
+def _check_handles(text: str) -> None:
+    """Refuse entities of the same handle, of which the library keeps the last alone."""
+    lines = (line.strip() for line in text.split("\n"))
+    groups = dropwhile(lambda group: group != ("2", "ENTITIES"), zip(lines, lines, strict=False))
+    seen: set[str] = set()
+    for code, value in takewhile(lambda group: group != ("0", "ENDSEC"), groups):
+        if code == "5" and value in seen:
+            raise ValueError(f"two entities have the handle {value[:LONGEST_NAME]!r}; give each its own, or none")
+        if code == "5":
+            seen.add(value)
+
+
+def _block_reaches(document: Any, name: str, layer: str | None, seen: set[str]) -> bool:
+    """Say whether a block, or a block in it, draws on a layer; what is on layer 0 is on that of the insert."""
+    if layer in (None, "0") or name in seen:
+        return False
+    seen.add(name)
+    return any(
+        _known(inner, "layer", "0").lower() == layer.lower()
+        or (inner.dxftype() == "INSERT" and _block_reaches(document, inner.dxf.get("name", ""), layer, seen))
+        for inner in document.blocks.get(name) or ()
+        if inner.dxftype() not in SILENT
+    )
+
+
 def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
     """Yield the pieces of an entity; none if it is of another kind."""
     normal = np.array(entity.dxf.get("extrusion", (0, 0, 1)), dtype=float)
@@ -272,18 +310,18 @@ def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
     mirror = np.diag([1.0 if normal[2] > 0 else -1.0, 1.0])
     still = np.zeros(2)
     if kind == "LINE":
-        if abs(entity.dxf.end.z - entity.dxf.start.z) > 1e-9 * abs(entity.dxf.end - entity.dxf.start):
-            raise ValueError("it does not lie in the plane of x and y")
         yield Straight(None, "", name, _plane(entity.dxf.start, entity.dxf.end))
     elif kind in ("ARC", "CIRCLE"):
+        if not entity.dxf.get("radius", 0) > 0:
+            raise ValueError("it has no radius")
         first, last = (entity.dxf.start_angle, entity.dxf.end_angle) if kind == "ARC" else (0.0, 360.0)
         arc = _arc(
             name, _plane(entity.dxf.center)[0], entity.dxf.radius * np.eye(2), math.radians(first), math.radians(last)
         )
         yield mapped(arc, mirror, still)
     elif kind == "ELLIPSE":
-        major = _plane(entity.dxf.major_axis)[0]
-        minor = entity.dxf.ratio * normal[2] * np.array([-major[1], major[0]])
+        major = _plane((0, 0, 0), entity.dxf.major_axis)[1]
+        minor = entity.dxf.ratio * np.sign(normal[2]) * np.array([-major[1], major[0]])
         axes = np.stack([major, minor], axis=1)
         yield _arc(name, _plane(entity.dxf.center)[0], axes, entity.dxf.start_param, entity.dxf.end_param)
     elif kind == "LWPOLYLINE" or (kind == "POLYLINE" and entity.is_2d_polyline and not entity.dxf.flags & 6):
@@ -297,20 +335,26 @@ def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
         if max(len(entity.control_points), len(entity.fit_points)) > MOST_PIECES:
             raise ValueError(f"it has more than {MOST_PIECES} points; simplify it")
         spline = entity.construction_tool()
+        _plane(*entity.control_points, *entity.fit_points)
 
         def curve(t: float) -> tuple[complex, complex]:
             point, slope = spline.derivative(t, 1)
             return complex(*_plane(point)[0]), complex(*_plane(slope)[0])
 
-        knots = sorted(set(spline.knots()))
-        for low, high in pairwise([knot for knot in knots if 0 <= knot <= spline.max_t]):
+        knots = list(spline.knots())
+        first, last = knots[spline.degree], knots[-spline.degree - 1]
+        for low, high in pairwise(sorted({knot for knot in knots if first <= knot <= last})):
             curve(low), curve(high)  # errors of the library, here with the name of the entity
             yield name, curve, low, high
 
 
 def _plane(*points: Any) -> np.ndarray:
-    """Return x and y (n, 2) of points in space."""
-    return np.array([tuple(point) for point in points], dtype=float)[:, :2]
+    """Return x and y (n, 2) of points in space; ValueError: they do not lie in a plane of x and y."""
+    places = np.array([tuple(point) for point in points], dtype=float)
+    extent = np.ptp(places, axis=0)
+    if extent[2:].max(initial=0) > 1e-9 * extent.max():
+        raise ValueError("it does not lie in the plane of x and y")
+    return places[:, :2]
 
 
 def _arc(name: str, centre: Any, axes: np.ndarray, first: float, last: float) -> Piece:
