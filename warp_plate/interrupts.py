@@ -35,6 +35,16 @@ def deferred_interrupts() -> Iterator[None]:
 
 
 @contextmanager
+def postponed_interrupts() -> Iterator[None]:
+    """Make Ctrl-C, however often it comes in the block, wait for the first ``check_interrupt`` after it.
+
+    For what ends within seconds, and must end before files are written or the program ends.
+    """
+    with end_signals(_remember):
+        yield
+
+
+@contextmanager
 def end_signals(handle: Callable[[int, Any], object]) -> Iterator[None]:
     """Handle Ctrl-C, SIGTERM and SIGHUP by a function, unless they are ignored; outside the main thread do nothing."""
     if threading.current_thread() is not threading.main_thread():
@@ -84,6 +94,11 @@ def remember_lost_interrupts() -> None:
             report(unraisable)
 
     sys.unraisablehook = hook
+
+
+def _remember(signal_number: int, frame: object) -> None:
+    global _pending
+    _pending = True
 
 
 def _set_flag(signal_number: int, frame: object) -> None:

@@ -15,9 +15,11 @@ import pytest
 
 from support.commands import ENDS_WITH_PARENT, output_of, until
 from support.commands import start_program as start
+from support.inline_pool import InterruptedPool
 from support.scenes import scene_of
 from warp_plate import CheckpointFile, PlateSolver, __version__, load_checkpoint, load_result, localize
 from warp_plate.cli import output
+from warp_plate.interrupts import check_interrupt
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
@@ -319,6 +321,24 @@ def test_the_picture_that_out_names_is_not_left_out(line, command, monkeypatch, 
     status, out, err = command(*line.split(), "--out", "a.png")
     assert (status, out, err) == (130, "", "warp-plate: interrupted; wrote only a.csv\n")
     assert [path.name for path in Path().iterdir()] == ["a.csv"]
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "said"),
+    [
+        ("localize panel.toml --evaluator direct", 0, "no pictures: interrupted"),
+        ("sweep panel.toml --what check --vary drive.frequency=200,300", 0, "no pictures: interrupted"),
+        ("localize panel.toml --evaluator direct --checkpoint-every 0", 130, "after 0 of 2 iterations; resume with"),
+    ],
+)
+def test_ctrl_c_waits_while_workers_close(line, status, said, endless, command, monkeypatch, write_scene):
+    write_scene(endless.with_tables(search={"particles": 6, "iterations": 2}))
+    monkeypatch.setattr("warp_plate.cluster.opening._connect", Mock())
+    monkeypatch.setattr("warp_plate.cluster.opening.WorkerPool", lambda *given: InterruptedPool())
+    ended, out, err = command(*line.split(), "--cluster", "tcp://far:8786", "--device", "cpu")
+    assert said in out + err
+    assert (ended, Path(f"panel-{line.split()[0]}.h5").exists()) == (status, status == 0)
+    check_interrupt()  # none is left for the program that called the command
 
 
 def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):

@@ -1,6 +1,10 @@
 """A pool for tests: one worker, which is this process."""
 
+import os
+import signal
 from concurrent.futures import Future
+from pathlib import Path
+from unittest.mock import Mock
 
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.tasks import run_task
@@ -36,3 +40,19 @@ class InlinePool(WorkerPool):
 
     def close(self):
         pass
+
+
+def press_twice(**options):
+    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+class InterruptedPool(InlinePool):
+    """One that Ctrl-C finds twice while it closes, and twice in a task once a search has a checkpoint."""
+
+    dashboard, _client, _cluster, close = "", Mock(close=press_twice), None, WorkerPool.close
+
+    def run(self, function, argument):
+        if Path("panel-localize.checkpoint.h5").exists():
+            press_twice()
+        return super().run(function, argument)

@@ -132,12 +132,12 @@ def localize(
     if files.pictures:
         viz.prepare()  # while the search runs
     with (
+        output.resumable(file, "localize"),
         workers.open_pool() as pool,
         output.progress_bar(
             "searching", not files.json, loaded, "running the drives found, with more functions if these are too few"
         ) as show,
         output.scene_errors(scene),
-        output.resumable(file, "localize"),
     ):
         latest = [0, 1, ""]
 

@@ -10,13 +10,19 @@ import signal
 import sys
 import time
 from collections import namedtuple
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import cache
 from typing import TYPE_CHECKING
 
 from warp_plate._version import __version__
 from warp_plate.cli import log, postpone_garbage, postpone_unused
-from warp_plate.interrupts import end_signals, ignore_interrupts, interrupt_on_termination, remember_lost_interrupts
+from warp_plate.interrupts import (
+    check_interrupt,
+    end_signals,
+    ignore_interrupts,
+    interrupt_on_termination,
+    remember_lost_interrupts,
+)
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -125,6 +131,8 @@ def main(arguments: list[str] | None = None) -> None:
     finally:  # the status stands when the process ends, not before: main may be called by another program
         atexit.unregister(ignore_interrupts)
         atexit.register(ignore_interrupts)
+        with suppress(KeyboardInterrupt):  # one more, which came while the command ended
+            check_interrupt()
         # Python ends by SIGINT if Ctrl-C came in an exec() of a text, until another text is executed, as here.
         namedtuple("Handled", "")
 

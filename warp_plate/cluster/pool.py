@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warp_plate.cluster.tasks import run_task
-from warp_plate.interrupts import check_interrupt
+from warp_plate.interrupts import check_interrupt, postponed_interrupts
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.vary import counted
 
@@ -88,10 +88,14 @@ class WorkerPool:
             self._client.restart_workers([worker], raise_for_error=False)
 
     def close(self) -> None:
-        """Leave the scheduler; one that was started here ends with its workers, even if they are busy."""
-        self._client.close(timeout=1)
-        if self._cluster is not None:
-            self._cluster.close()
+        """Leave the scheduler; one that was started here ends with its workers, even if they are busy.
+
+        Ctrl-C waits, so that no result is lost.
+        """
+        with postponed_interrupts():
+            self._client.close(timeout=1)
+            if self._cluster is not None:
+                self._cluster.close()
 
     def _count_threads(self) -> int:
         client = self._client
