@@ -366,7 +366,7 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 @POSIX
-@pytest.mark.parametrize("end", ["killed", "interrupted while a worker hangs"])
+@pytest.mark.parametrize("end", ["killed", "interrupted while a worker hangs", "interrupted twice meanwhile"])
 def test_workers_end_with_the_program(end, tmp_path, monkeypatch):
     (tmp_path / "sleeping.py").write_text(SLEEPING, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
@@ -378,6 +378,9 @@ def test_workers_end_with_the_program(end, tmp_path, monkeypatch):
     else:
         workers[0].suspend()
         process.send_signal(signal.SIGINT)
+        time.sleep(0.7)
+        if "twice" in end:
+            process.send_signal(signal.SIGINT)
     process.communicate(timeout=60)
     assert psutil.wait_procs(workers, timeout=10)[1] == []
 

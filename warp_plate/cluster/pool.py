@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -28,6 +31,8 @@ TASKS_PER_WORKER = 2
 # Seconds between checks for Ctrl-C, between counts of the workers, for the scheduler to give their number, and to wait
 # for a worker to join.
 POLL_SECONDS, COUNT_SECONDS, ANSWER_SECONDS, JOIN_SECONDS = 0.2, 2.0, 5.0, 60.0
+# Seconds in which workers may end by themselves when a pool closes.
+END_SECONDS = 1.5
 
 
 class WorkersGone(SceneError):
@@ -88,14 +93,17 @@ class WorkerPool:
             self._client.restart_workers([worker], raise_for_error=False)
 
     def close(self) -> None:
-        """Leave the scheduler; one that was started here ends with its workers, even if they are busy.
+        """Leave the scheduler; one that was started here ends with its workers, which are killed if busy or hanging.
 
         Ctrl-C waits, so that no result is lost.
         """
         with postponed_interrupts():
             self._client.close(timeout=1)
             if self._cluster is not None:
+                killer = threading.Timer(END_SECONDS, _kill_workers, [self._cluster])
+                killer.start()
                 self._cluster.close()
+                killer.cancel()
 
     def _count_threads(self) -> int:
         client = self._client
@@ -104,6 +112,14 @@ class WorkerPool:
                 count = client.sync(client.scheduler.ncores, workers=None, callback_timeout=ANSWER_SECONDS)
                 return sum(count.values())
         return 0
+
+
+def _kill_workers(cluster: SpecCluster) -> None:
+    """Kill the workers that were started here: one that is stopped ends by nothing else, and Python waits for it."""
+    for nanny in list(cluster.workers.values()):
+        if number := nanny.pid:
+            with suppress(OSError):  # it has just ended
+                os.kill(number, getattr(signal, "SIGKILL", signal.SIGTERM))  # Windows kills by the latter
 
 
 def _run_on_worker(function: Callable[[Any], Any], argument: Any) -> Any:
