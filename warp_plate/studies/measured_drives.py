@@ -155,7 +155,8 @@ def _lines(plate: MeasuredPlate, frequency: float | tuple[float, float] | None) 
         lines = [nearest] if abs(have[nearest] - frequency) <= step else []
     if not lines:
         held = f"the file has {have[0]:g} to {have[-1]:g} Hz"
-        raise SceneError(f"frequency = {frequency}: no response is there; {held}")
+        stated = list(frequency) if isinstance(frequency, tuple) else frequency
+        raise SceneError(f"measured.frequency = {stated}: no response is there; {held}")
     return lines
 
 
