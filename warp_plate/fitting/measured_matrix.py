@@ -118,16 +118,20 @@ def _check(matrix: MeasuredMatrix) -> None:
 def _arrays(path: Path, table: Measured) -> MeasuredMatrix:
     """Return the responses of a MAT or HDF5 file."""
     arrays = {name: np.atleast_1d(values) for name, values in read_arrays(path, ARRAYS).items()}
-    places = arrays.get("points", np.empty(0)).real
+    places = arrays.get("points", np.empty(0))
     places = places.T if places.shape[0] == 2 != places.shape[-1] else places
     if places.ndim != 2 or places.shape[1] != 2:
         raise ValueError(f"needs the array points, x and y in metres, of shape (points, 2); has {', '.join(arrays)}")
-    impulses, rate = arrays.get("impulse"), float(arrays.get("rate", np.zeros(1)).real.max(initial=0.0))
+    impulses, rate = arrays.get("impulse"), 0.0
     if impulses is not None:
-        if impulses.ndim != 3 or impulses.shape[1] != len(places) or not SMALLEST <= rate <= LARGEST:
-            shape = f"(actuators, {len(places)}, samples), with rate in samples a second"
-            raise ValueError(f"impulse has shape {impulses.shape}; must be {shape}")
-        impulses = impulses.real
+        if impulses.ndim != 3 or impulses.shape[1] != len(places):
+            raise ValueError(f"impulse has shape {impulses.shape}; must be (actuators, {len(places)}, samples)")
+        rates = arrays.get("rate", np.empty(0)).ravel().tolist()
+        if len(rates) != 1 or not SMALLEST <= rates[0] <= LARGEST:
+            has = f"{rates[0]:g}" if len(rates) == 1 else f"{len(rates)} numbers"
+            rule = f"impulse comes with rate in samples a second, one number from {SMALLEST:g} to {LARGEST:g}"
+            raise ValueError(f"rate has {has}; {rule}")
+        rate = rates[0]
         if not (np.abs(impulses) < LARGEST).all():
             raise ValueError(f"impulse must hold numbers up to {LARGEST:g}")
         if impulses.shape[2] < 2:
@@ -144,11 +148,11 @@ def _arrays(path: Path, table: Measured) -> MeasuredMatrix:
             raise ValueError(f"needs frequency and response, or impulse and rate; has {', '.join(arrays)}")
         if given.dtype.kind != "c":
             raise ValueError("response is real; write complex numbers, which have the phase too")
-        frequency = arrays["frequency"].real.ravel()
+        frequency = arrays["frequency"].ravel()
         responses = _ordered("response", given, len(places), len(frequency))
         coherence = arrays.get("coherence")
         if coherence is not None:
-            coherence = _ordered("coherence", coherence.real, len(places), len(frequency))
+            coherence = _ordered("coherence", coherence, len(places), len(frequency))
             if coherence.shape != responses.shape:
                 raise ValueError(f"coherence has shape {coherence.shape}; response has {responses.shape}")
     names = tuple(f"actuator {number}" for number in range(1, len(responses) + 1))

@@ -167,7 +167,7 @@ def read_array(
 
 @np.errstate(invalid="ignore")  # of signalling NaN, which are NaN once converted
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the float64 or complex128 arrays with these names that a MAT or HDF5 file has.
+    """Return the arrays with these names that a MAT or HDF5 file has, float64, or complex128 if it is ``response``.
 
     Args:
         path: File that ends in .mat, .h5, .hdf5 or .nc.
@@ -189,6 +189,8 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     for name, values in arrays.items():
         if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiuc":  # MAT files may hold sparse ones
             raise ValueError(f"{name} is not an array of numbers")
+        if name != "response" and values.dtype.kind == "c":
+            raise ValueError(f"{name} is complex; only response may be")
     return {name: values.astype(complex if values.dtype.kind == "c" else float) for name, values in arrays.items()}
 
 
