@@ -38,7 +38,7 @@ def record(random, times=(1.0, 5.3, 9.1, 13.7), duration=20.0, doubled=(), noise
 
 
 def estimated(signals, **keys):
-    table = TimeSignals(hits=True, segment=3.0, **keys)
+    table = TimeSignals(**{"hits": True, "segment": 3.0} | keys)
     frequencies, force, _, crossed, count = hit_spectra(signals[0], signals[1:], RATE, table)
     return frequencies, (crossed / force)[0], count
 
@@ -73,6 +73,8 @@ def test_double_hits_overloads_and_the_last_one_are_left_out_and_said(random, ca
     bad = record(random, times=(1.0,), doubled=(0,), duration=6.0)
     with pytest.raises(ValueError, match="has no hit that can be used: 1"):
         estimated(bad)
+    with pytest.raises(ValueError, match=r"has no hit that can be used: 1.001 s \(it lasts longer than its block\)"):
+        estimated(bad, segment=1e-3)
     with pytest.raises(ValueError, match="the force is at rest"):
         estimated(np.zeros((2, 4 * RATE)))
 

@@ -218,6 +218,7 @@ def test_bad_files(name, content, message, tmp_path):
     ("table", "message"),
     [
         ({"segment": 9.0}, "fit.signals.segment = 9 s must have 2 to 8000 samples"),
+        ({"segment": 0.001}, "fit.signals.segment = 0.001 s: 1 frequencies; 2 to 4000 can be fitted"),
         ({"force_channel": 4}, "has 3 channels; fit.signals.force_channel = 4"),
         ({"window": "hamming"}, "must be"),
         ({"estimator": "H3"}, "must be"),

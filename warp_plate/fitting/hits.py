@@ -88,7 +88,7 @@ def find_hits(force: np.ndarray, length: int) -> list[tuple[int, int, int]]:
         begin = int(before[-1]) if before.size else 0
         start = max(0, begin - max(2, math.ceil(BEFORE * (end - begin))))
         hits.append((start, peak, end))
-        at = int(np.searchsorted(over, start + length))
+        at = int(np.searchsorted(over, max(start + length, stop)))
     return hits
 
 
@@ -96,6 +96,8 @@ def _fault(force: np.ndarray, motion: np.ndarray, start: int, peak: int, end: in
     """Return why a hit cannot be used, or ""."""
     if start + length > force.size:
         return "the record ends within its block"
+    if end > start + length:
+        return "it lasts longer than its block"
     block, sizes = slice(start, start + length), np.abs(force)
     pulse = end - start
     after = sizes[end + pulse // 2 : start + length]

@@ -87,8 +87,7 @@ def read_responses(
     source = ", ".join(map(str, paths))
     frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, *_ in parts])
     coherence = np.vstack([np.full(columns[1:].shape, np.nan) if of is None else of for columns, of, *_ in parts])
-    low, high = fit.range if fit and fit.range else (-np.inf, np.inf)
-    selected = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
+    selected = _selected(frequencies, fit)
     frequencies, responses, coherence = frequencies[selected], responses[:, selected], coherence[:, selected]
     units = [unit for _, _, units, _ in parts for unit in units]
     window = fit and (fit.signals.exponential if fit.signals else fit.exponential)
@@ -98,6 +97,12 @@ def read_responses(
     known = None if np.isnan(coherence).all() else coherence
     clipped = tuple(f"{path.name}, {name}" for path, (*_, names) in zip(paths, parts, strict=True) for name in names)
     return MeasuredResponses(source, frequencies, responses, known, remarks, decay, clipped)
+
+
+def _selected(frequencies: np.ndarray, fit: Fit | None) -> np.ndarray:
+    """Return (n,) whether frequencies are not 0 and within the range of ``fit``."""
+    low, high = fit.range if fit and fit.range else (-np.inf, np.inf)
+    return (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
 
 
 def _in_quantities(
@@ -130,7 +135,7 @@ def _read(
             columns, coherence, units = *_arrays(path), []
         elif ending == ".wav" or signals is not None:
             values, rate, named = read_signals(path, signals)
-            columns, coherence, units = estimate_responses(values, rate, signals or TimeSignals(), named)
+            columns, coherence, units = estimate_responses(values, rate, fit, named)
             if not (signals and signals.hits):  # of which those that are clipped are left out
                 clipped = [f"channel {number}" for number, row in enumerate(values, 1) if is_clipped(row)]
         else:
@@ -148,11 +153,15 @@ def _read(
     return columns[: 1 + count], None if coherence is None else coherence[:count], units, clipped
 
 
+def _check_count(source: str, count: int) -> None:
+    if not 2 <= count <= MOST_FREQUENCIES:
+        most = f"2 to {MOST_FREQUENCIES} can be fitted"
+        raise SceneError(f"{source}: {count} frequencies; {most}, and fit.range = [LOW, HIGH] chooses")
+
+
 def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:
     """Raise a SceneError unless the frequencies rise and all responses are numbers other than 0."""
-    if not 2 <= len(frequencies) <= MOST_FREQUENCIES:
-        most = f"2 to {MOST_FREQUENCIES} can be fitted"
-        raise SceneError(f"{source}: {len(frequencies)} frequencies; {most}, and fit.range = [LOW, HIGH] chooses")
+    _check_count(source, len(frequencies))
     if not (frequencies[0] > SMALLEST and np.all(np.diff(frequencies) > 0) and frequencies[-1] < LARGEST):
         raise SceneError(f"{source}: frequencies must rise, from 0 hertz or above, and stay below {LARGEST:g}")
     sizes = np.abs(responses)
@@ -167,8 +176,6 @@ def _arrays(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     arrays = read_arrays(path, ARRAYS)
     if "frequency" not in arrays or not ("response" in arrays or {"real", "imaginary"} <= set(arrays)):
         raise ValueError(f"needs the arrays frequency, and response or real and imaginary; has {', '.join(arrays)}")
-    if wrong := [name for name, values in arrays.items() if name != "response" and np.iscomplexobj(values)]:
-        raise ValueError(f"{wrong[0]} is complex; only response may be")
     frequencies = arrays["frequency"].ravel()
     shaped = {name: _along(name, values, len(frequencies)) for name, values in arrays.items() if name != "frequency"}
     if len({values.shape for values in shaped.values()}) > 1:
@@ -220,17 +227,20 @@ def read_signals(path: Path, signals: TimeSignals | None = None) -> tuple[np.nda
     return values, rate, units
 
 
-def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals, named: Sequence[str] = ()) -> Columns:
+def estimate_responses(values: np.ndarray, rate: float, fit: Fit | None = None, named: Sequence[str] = ()) -> Columns:
     """Return responses estimated from signals (channels, samples) in the units ``named``; their coherence is None of a
     single segment."""
     from scipy.signal import csd, welch
 
+    table = fit.signals if fit and fit.signals else TimeSignals()
     samples, length = values.shape[1], round(min(table.segment * rate, 1e18))
     if not 2 <= length <= samples:
         given = f"{samples / rate:g} s at {rate:g} samples a second"
         raise ValueError(f"holds {given}; fit.signals.segment = {table.segment:g} s must have 2 to {samples} samples")
     if table.force_channel > len(values):
         raise ValueError(f"has {len(values)} channels; fit.signals.force_channel = {table.force_channel}")
+    selected = _selected(np.fft.rfftfreq(length, 1 / rate), fit)
+    _check_count(f"fit.signals.segment = {table.segment:g} s", int(selected.sum()))
     overlap = length // 2 if table.window == "hann" else 0
     several = samples >= 2 * length - overlap
     options = {"fs": rate, "window": table.window, "nperseg": length, "noverlap": overlap}
