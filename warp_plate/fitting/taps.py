@@ -27,8 +27,9 @@ import scipy
 
 from warp_plate.fitting.hits import is_clipped
 from warp_plate.fitting.measured_modes import MOST_MODES, MeasuredModes, check_file
-from warp_plate.plate.waveforms import MOST_SAMPLES, wav_channels
+from warp_plate.plate.waveforms import MOST_SAMPLES, check_samples, wav_channels
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import SMALLEST
 
 # Contact of a tap, after which the panel is free [s]; lowest frequency [Hz].
 CONTACT, LOWEST = 3e-3, 20.0
@@ -102,8 +103,9 @@ def tap_modes(values: np.ndarray, rate: float, band: tuple[float, float] | None 
     duration = free.shape[1] / rate
     width = max(NARROWEST, MOST / duration / OVERSAMPLING)
     width = min(width, rate / 4)
+    loudest = float(np.abs(free).max())
     bands = [
-        _in_band(free, rate, centre, width)
+        _in_band(free, rate, centre, width, loudest)
         for centre in np.arange(low + width / 2, high + width / 2, width)
         if centre < rate / 2
     ]
@@ -123,10 +125,12 @@ def free_decay(values: np.ndarray, rate: float) -> np.ndarray:
 
     Of channels that are clipped, the last clipped sample counts as the largest.
     """
-    values = values[np.ptp(values, axis=1) > 0]  # silent channels would seem to lower the noise
-    clipped = [np.abs(row) == np.abs(row).max() for row in values if is_clipped(row)]
+    check_samples(values)
+    heard = np.ptp(values, axis=1) >= SMALLEST if values.size else []
+    values = values[np.flatnonzero(heard)]  # silent channels would seem to lower the noise
     if not len(values):
-        raise ValueError("holds no sound")
+        raise ValueError(f"holds no sound; its samples differ by less than {SMALLEST:g}")
+    clipped = [np.abs(row) == np.abs(row).max() for row in values if is_clipped(row)]
     values = values - values.mean(axis=1, keepdims=True)
     power = (values**2).sum(axis=0)
     start = max([int(power.argmax()), *(int(np.flatnonzero(flat)[-1]) for flat in clipped)])
@@ -136,14 +140,18 @@ def free_decay(values: np.ndarray, rate: float) -> np.ndarray:
     return values[:, start:]
 
 
-def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.ndarray:
-    """Return (3, n) poles of a band around a centre [Hz] that the decay determines, their bars [1/s], 1 for pairs."""
+def _in_band(free: np.ndarray, rate: float, centre: float, width: float, loudest: float) -> np.ndarray:
+    """Return (3, n) poles of a band around a centre [Hz] that the decay determines, their bars [1/s], 1 for pairs.
+
+    The largest sample is the ``loudest``; modes that are faint beside it are left out.
+    """
     step = max(1, int(rate / (OVERSAMPLING * width)))
     taps = (
         scipy.signal.firwin(TAPS * step | 1, CUTOFF * rate / step, fs=rate, window=("kaiser", ATTENUATION))
         if step > 1
         else [1.0]
     )
+    free = free[:, : (MOST - 1) * step + len(taps)]  # all that the first samples of the band depend on
     shifted = free * np.exp(-2j * math.pi * centre / rate * np.arange(free.shape[1]))
     share = step * float(np.sum(np.square(taps)))
     samples = scipy.signal.oaconvolve(shifted, np.atleast_2d(taps), mode="valid", axes=1)[:, ::step][:, :MOST]
@@ -163,7 +171,7 @@ def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.n
     decay, size = -poles.real, np.abs(absolute)
     told = (np.abs(poles.imag) <= math.pi * width) & (decay > 0) & (decay < MOST_DAMPING * size)
     told &= (deviations < DEVIATIONS[0] * size) & (deviations < DEVIATIONS[1] * decay)
-    told &= _Sum(poles, samples, interval, share).strengths > FAINT * np.abs(free).max()
+    told &= _Sum(poles, samples, interval, share).strengths > FAINT * loudest
     bars = np.maximum(np.where(spread, apart, 0.0), BAR * deviations)
     return np.stack([absolute, bars, (bars > WIDE[0] * size) | (bars > WIDE[1] * decay)])[:, told]
 

@@ -147,8 +147,7 @@ def read_channels(
                 raise ValueError(f"{len(values)} channels; write {wanted}")
         if values.shape[1] < 2 or values.size > MOST_SAMPLES:
             raise ValueError(f"{values.size} samples; 2 to {MOST_SAMPLES} are possible")
-        if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
-            raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
+        check_samples(values)
         if not values.any():
             raise ValueError("all samples are zero")
         if not SLOWEST <= rate <= FASTEST:
@@ -156,6 +155,12 @@ def read_channels(
     except ValueError as error:
         raise SceneError(f"{key}.file = {table.file!r}: {error}") from None
     return values, rate, start + table.start
+
+
+def check_samples(values: np.ndarray) -> None:
+    """Raise a ValueError unless all samples are numbers whose squares are numbers too."""
+    if not np.abs(values).max(initial=0.0) <= LOUDEST:
+        raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
 
 
 def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) -> np.ndarray:
