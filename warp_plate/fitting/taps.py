@@ -160,6 +160,8 @@ def _in_band(free: np.ndarray, rate: float, centre: float, width: float, loudest
         return np.empty((3, 0))
     rows = samples.shape[1] // 2
     hankel = np.concatenate([scipy.linalg.hankel(row[:rows], row[rows - 1 :]) for row in samples], axis=1)
+    if len(samples) > 1:  # a triangle with the same left vectors
+        hankel = np.asarray(np.linalg.qr(hankel.conj().T, mode="r")).conj().T
     vectors, sizes, _ = scipy.linalg.svd(hankel, full_matrices=False)
     if not sizes[0] > 0:
         return np.empty((3, 0))
@@ -246,9 +248,14 @@ class _Sum:
 
     @property
     def _slopes(self) -> np.ndarray:
-        """(channels · n, poles + channels · poles) derivatives by poles and amplitudes."""
-        by_poles = np.concatenate([self._times[:, None] * self._waves * row for row in self._amplitudes.T])
-        return np.hstack([by_poles, np.kron(np.eye(len(self._samples)), self._waves)])
+        """(channels · n, poles) derivatives by poles, with the amplitudes of least squares for each."""
+        by_poles = self._times[:, None] * self._waves * self._amplitudes.T[:, None]
+        return np.concatenate(by_poles - self._basis @ (self._basis.conj().T @ by_poles))
+
+    @property
+    def _basis(self) -> np.ndarray:
+        """(n, poles) orthonormal sums of the waves."""
+        return np.asarray(np.linalg.qr(self._waves)[0])
 
     @property
     def deviations(self) -> np.ndarray:
@@ -257,17 +264,19 @@ class _Sum:
         size = np.linalg.norm(slopes, axis=0)
         slopes = slopes / np.where(size > 0, size, 1.0)
         covariance = np.diag(np.linalg.pinv(slopes.conj().T @ slopes)).real / np.where(size > 0, size, 1.0) ** 2
-        return np.asarray(np.sqrt(np.maximum(covariance[: self.poles.size], 0) * self.residual / self.freedom / 2))
+        return np.asarray(np.sqrt(np.maximum(covariance, 0) * self.residual / self.freedom / 2))
 
     @property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """(poles,) distances √|v| [1/s] of the modes in a pole, of all channels; whether noise hardly causes them."""
-        basis, count = np.linalg.qr(self._slopes)[0], len(self._times)
+        by_poles, count = np.linalg.qr(self._slopes)[0], len(self._times)
         squares, gains = np.zeros(self.poles.size), np.zeros(self.poles.size)
         for channel, amplitudes in enumerate(self._amplitudes.T):
             rows = slice(channel * count, (channel + 1) * count)
             waves = self._times[:, None] ** 2 / 2 * self._waves * amplitudes
-            square = np.linalg.norm(waves, axis=0) ** 2 - np.linalg.norm(basis[rows].conj().T @ waves, axis=0) ** 2
+            square = np.linalg.norm(waves, axis=0) ** 2
+            for basis in (self._basis, by_poles[rows]):
+                square -= np.linalg.norm(basis.conj().T @ waves, axis=0) ** 2
             square = np.maximum(square, RANK * np.linalg.norm(waves, axis=0) ** 2 + 1e-300)
             squares += square
             gains += np.abs(waves.conj().T @ self._rest[rows]) ** 2 / square
@@ -283,7 +292,7 @@ class _Sum:
         """Return the waves of the least squares nearby, by Gauss and Newton's method."""
         best = self
         for _ in range(STEPS if self.poles.size else 0):
-            change = np.linalg.lstsq(best._slopes, best._rest, rcond=None)[0][: self.poles.size]
+            change = np.linalg.lstsq(best._slopes, best._rest, rcond=None)[0]
             for part in (1.0, 0.5, 0.25, 0.1):
                 tried = best.poles + part * change
                 if (tried.real < 0).all() and (np.abs(part * change) < np.abs(best.poles.real)).all():
