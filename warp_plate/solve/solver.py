@@ -182,7 +182,7 @@ class PlateSolver:
                 Z = magnitude · exp(−i phase); or Designs, whose plates may differ in more than drives.
             times: Times at which to keep the displacement [s].
             points: Points (x, y) [m] at which to keep the displacement of every step, bilinear between nodes.
-            progress: Called with (node-steps done, node-steps in all) between launches.
+            progress: Called with (node-steps done, node-steps in all) between launches; it may not use this solver.
             peak_times: Times at which to sample the displacement for its peak [s].
 
         Raises:
