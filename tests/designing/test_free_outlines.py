@@ -42,6 +42,12 @@ SHAPES = {
         "supports": [{"point": (0.13, 0.12)}],
         "design": {"free": {"supports[0].point[0]": [0.11, 0.145]}, "objective": "velocity"},
     },
+    "screw": {
+        **outlined([{"disc": (0.13, 0.06, 0.015)}]),
+        "supports": [{"point": (0.13, 0.12)}],
+        "links": {"both": {"keys": ["plate.holes[0].disc[0]", "supports[0].point[0]"]}},
+        "design": {"free": {"both": [0.12, 0.14]}, **STEADY},
+    },
     "side": {**outlined(), "design": {"free": {"plate.outline.rectangle[0]": [0.19, 0.21]}, **STEADY}},
     "hole": {**outlined([ROUND_HOLE]), "design": {"free": {"plate.holes[0].disc[2]": [0.0135, 0.018]}, **STEADY}},
     "slot": {**outlined([SLOT]), "design": {"free": {"plate.holes[0].rectangle[0]": [0.04, 0.06]}, **STEADY}},
@@ -51,8 +57,9 @@ SHAPES = {
         "design": {"free": {"edges.parts[0].to_point[0]": [0.125, 0.138]}, **STEADY},
     },
 }
-# Parts of slopes by which they may differ where more functions of less energy turned by rounding.
-SMOOTH = {"part": 3e-7}
+# Parts of slopes by which they may differ where more functions of less energy turned by rounding, and where steps that
+# suit a hole alone were too short for the support that moves with it.
+SMOOTH = {"part": 3e-7, "screw": 3e-7}
 
 
 def panel_of(**tables):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -29,8 +30,9 @@ RANK = 1e-9
 # Steps of differences by the shape of a panel, against rounding: by an outline and its holes, of three points, and by
 # supports and ends of parts of edges, whose conditions change, of five points, as parts of the least interval between
 # knots; by a side of a rectangle, whose functions only stretch, of five points, as a part of it. The third is that of
-# supports and ends of parts at ends of ranges, for differences by one side are less exact.
-OUTLINED, HELD, HELD_AT_END, STRETCHED = 1e-5, 2.8e-3, 7e-4, 2e-3
+# supports and ends of parts at ends of ranges, for differences by one side are less exact, and of those that move with
+# an outline.
+OUTLINED, HELD, HELD_SHORT, STRETCHED = 1e-5, 2.8e-3, 7e-4, 2e-3
 # Coordinates of places about which motions are singular. What splines follow of such a motion changes within the
 # distance to the nearest knot: steps are at most this part of it, but at least this part of an interval.
 SINGULAR, OF_DISTANCE, LEAST = ("point", "line", "from_point", "to_point"), 0.02, 2e-5
@@ -109,17 +111,19 @@ def is_shape(key: str) -> bool:
     return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS
 
 
-def shape_step(space: SplineProducts, key: str, value: float, room: float) -> tuple[float, int]:
-    """Return the step [m] and number of points of differences by a number of the shape of a panel, of a value [m] at a
-    key that is ``room`` [m] away from the nearer end of its range."""
+def shape_step(space: SplineProducts, keys: Sequence[str], value: float, room: float) -> tuple[float, int]:
+    """Return the step [m] and number of points of differences by a number of the shape of a panel, of a value [m] at
+    some keys that is ``room`` [m] away from the nearer end of its range."""
     if isinstance(space, TensorSplines):
         return STRETCHED * value, 5
     interval = min(float(np.diff(along.breaks).min()) for along in space.along)
-    if key.startswith("plate."):
+    held = [key for key in keys if not key.startswith("plate.")]
+    if not held:
         return OUTLINED * interval, 3
-    longest = (HELD if 2 * HELD * interval <= room else HELD_AT_END) * interval
-    *path, last = key_parts(key)
-    if isinstance(last, str) or not any(name in path for name in SINGULAR):
-        return longest, 5
-    distance = float(np.abs(space.along[last].breaks - value).min())
-    return min(longest, max(OF_DISTANCE * distance, LEAST * interval)), 5
+    longest = HELD if held == keys and 2 * HELD * interval <= room else HELD_SHORT
+    steps = [longest * interval]
+    for *path, last in map(key_parts, held):
+        if not isinstance(last, str) and any(name in path for name in SINGULAR):
+            distance = float(np.abs(space.along[last].breaks - value).min())
+            steps.append(max(OF_DISTANCE * distance, LEAST * interval))
+    return min(steps), 5

@@ -315,8 +315,7 @@ class FreePanel:
             shapes = [] if place else [key for key in linked_keys(self.scene, self._keys[index]) if is_shape(key)]
             if shapes:
                 value, room = self._low[index] + share * width[index], min(share, 1 - share) * width[index]
-                steps = [shape_step(of.of_fields.space, key, float(value), float(room)) for key in shapes]
-                step, count = min(steps)
+                step, count = shape_step(of.of_fields.space, shapes, float(value), float(room))
                 step /= width[index]
             slopes[:, self._mapped + index] = of.along(scene_at, share, step, count)
         return slopes
