@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -252,7 +253,7 @@ class _Sum:
         by_poles = self._times[:, None] * self._waves * self._amplitudes.T[:, None]
         return np.concatenate(by_poles - self._basis @ (self._basis.conj().T @ by_poles))
 
-    @property
+    @cached_property
     def _basis(self) -> np.ndarray:
         """(n, poles) orthonormal sums of the waves."""
         return np.asarray(np.linalg.qr(self._waves)[0])
