@@ -2,7 +2,6 @@
 
 import base64
 import io
-import time
 
 import numpy as np
 import pytest
@@ -107,12 +106,10 @@ def holds(page, condition):
 def canvas(page, plate=1):
     """The pixels of a plate's canvas, when all that was asked for is drawn and shown."""
     page.evaluate("new Promise((shown) => requestAnimationFrame(() => requestAnimationFrame(shown)))")
+    shown = page.locator("#plates canvas").nth(plate)
     # On a busy machine the first frame can reach the window later than it is drawn: until then all is white.
-    end = time.monotonic() + 60
-    while True:
-        picture = pixels(io.BytesIO(page.locator("#plates canvas").nth(plate).screenshot()))
-        if picture.min() < 200 or time.monotonic() > end:
-            return picture
+    until(lambda: pixels(io.BytesIO(shown.screenshot())).min() < 200)
+    return pixels(io.BytesIO(shown.screenshot()))
 
 
 def redness(picture):
