@@ -31,8 +31,6 @@ LOWERED = ("sound", "power")
 NO_EFFORT, ROUNDING = 1e-8, 1e-13
 # Key of each limit on a motion under the scene's drive, and the quantity.
 LEAST = {"energy_target": "energy_target", **{f"least_{name}": name for name in AMPLITUDES}}
-
-
 # Natural frequencies on either side of the gap that count.
 NEAR = 6
 

@@ -119,8 +119,9 @@ class Batch:
             with specialized.compiling_late():
                 kernel = make_keep_largest(specialized.real)
                 specialized.load(kernel)
-            shared = {"dim": u.shape, "device": specialized.device, "record_cmd": True}
-            self._samplers[u.ptr] = wp.launch(kernel, inputs=[u], outputs=[self._largest], **shared)
+            self._samplers[u.ptr] = wp.launch(
+                kernel, dim=u.shape, inputs=[u], outputs=[self._largest], device=specialized.device, record_cmd=True
+            )
         self._samplers[u.ptr].launch()
 
     @property
