@@ -20,11 +20,11 @@ import numpy as np
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
 from warp_plate.modal.coils import Coils
-from warp_plate.modal.eigenproblem import SPARSE, bending_energies, solve_eigenproblem
+from warp_plate.modal.eigenproblem import bending_energies, solve_eigenproblem
 from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.added import ties_banks
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
-from warp_plate.modal.spaces.knots import DEGREE, intervals_for
+from warp_plate.modal.spaces.knots import intervals_for
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.modal.unbaffled import AirLoads, air_on
 from warp_plate.plate.section import laminate_of
@@ -361,15 +361,6 @@ def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
     if ties_banks(scene):
         largest = np.maximum(largest, SLIT)
     return np.where(frequencies > 0, largest + LEAST, 0.0)
-
-
-def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[float, float]:
-    """Return about how many functions and modes :func:`solve_modes` takes for responses up to a frequency [Hz]."""
-    finer, wave = scene.grid.modal_density, mean_wave_frequency(laminate_of(scene))
-    sides = intervals_for(scene.plate.size, scene.outline, finer * highest, wave, finer * density, not scene.steady)
-    functions, area = math.prod(side + DEGREE for side in sides), scene.plate.area
-    wanted = 1.1 * math.pi / 4 * area * REACH * finer * highest / wave + FURTHER
-    return functions, wanted if wanted * SPARSE < functions else functions
 
 
 def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:

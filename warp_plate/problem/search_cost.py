@@ -7,8 +7,8 @@ from typing import Any
 
 from warp_plate.accuracy.configurations import NODE_STEP_SECONDS, RELATIVE_COST
 from warp_plate.modal.energies import AMPLITUDES_AT_ONCE
+from warp_plate.modal.expected import expected_modes
 from warp_plate.modal.gram import ROWS
-from warp_plate.modal.modes import expected_size
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.scheme import Discretization, grid_bytes, steps_bytes
 from warp_plate.plate.signals import highest_frequency
@@ -20,6 +20,7 @@ from warp_plate.problem.parametrization import Parametrization, parametrization_
 from warp_plate.problem.starts import BRENT_STEPS, candidate_frequencies
 from warp_plate.problem.uncertainty import scenario_bytes
 from warp_plate.resolve import Resolved
+from warp_plate.scene.model import Scene
 from warp_plate.solve import response
 from warp_plate.solve.parts import CPU_BYTES, plates_a_launch
 
@@ -28,6 +29,8 @@ PROGRAM = 2.5e8
 # Numbers, by modes, of the forces and Gram matrices of the designs that are in memory at a time, and bytes of each; and
 # of each number of the motion of those that are computed at once.
 DESIGN_NUMBERS, DESIGN_BYTES, MOTION_BYTES = 2**24, 9.0, 200.0
+# Time of a core by modes for each number of a design of a place or frequency of its own [s].
+DESIGN_SECONDS = 2e-7
 # Bytes for each number of a unit drive in memory, for each pair of drives' parts (indices and energies), and for each
 # number of a region's Gram matrix (copies for bounds and search).
 UNIT_BYTES, PAIR_BYTES, MATRIX_BYTES = 25.0, 60.0, 60.0
@@ -48,14 +51,15 @@ class Cost:
     candidates: int  # largest number of designs that are evaluated
     plates: int  # largest number of plates that are run in time steps; 0 by modes
     node_steps: float  # node-steps of these plates
-    seconds: float | None  # about the time of a core for them, within a factor of three; None by modes and on GPUs
+    seconds: float | None  # about the time of a core, within a factor of three; None on GPUs, and by modes in air
     memory: Mapping[str, float]  # largest memory besides PROGRAM [bytes], by the key that determines it
 
 
 def cost_of_run(resolved: Resolved) -> Cost:
     """Return the cost of a run of a scene with its error estimate."""
-    memory = _plate_memory(resolved, highest_frequency(resolved.scene))
-    return _cost(resolved, 1, 1, 0, memory)
+    highest = highest_frequency(resolved.scene)
+    seconds = expected_modes(resolved.scene, highest).seconds if resolved.by_modes else 0.0
+    return _cost(resolved, 1, 1, 0, _plate_memory(resolved, highest), seconds)
 
 
 def cost_of_search(resolved: Resolved) -> Cost:
@@ -75,15 +79,26 @@ def cost_of_search(resolved: Resolved) -> Cost:
         measured *= 1 + (scenarios if search.robust is not None and evaluator != "direct" else 0)
     simulated = candidates * scenarios if evaluator == "direct" else 0
     memory = search_memory(parametrization, resolved, make_objectives(resolved.grid))
-    return _cost(resolved, candidates, simulated, measured, memory)
-
-
-def _cost(resolved: Resolved, candidates: int, simulated: int, measured: int, memory: Mapping[str, float]) -> Cost:
-    """Return the cost of plates in the scene's precision and of those that are measured in float64."""
+    by_modes = 0.0
     if resolved.by_modes:
-        return Cost(candidates, 0, 0.0, None, memory)
+        expected, robust = expected_modes(scene, _highest(scene)), search.robust is not None
+        by_modes = expected.seconds * (1 + scenarios * robust)
+        if not parametrization.only_drives:
+            numbers = design_numbers(len(scene.actuators), expected.functions, expected.modes)
+            by_modes += DESIGN_SECONDS * candidates * scenarios * numbers
+    return _cost(resolved, candidates, simulated, measured, memory, by_modes)
+
+
+def _cost(
+    resolved: Resolved, candidates: int, simulated: int, measured: int, memory: Mapping[str, float], by_modes: float
+) -> Cost:
+    """Return the cost of plates in the scene's precision and of those that are measured in float64, or the time
+    ``by_modes`` [s] on a CPU, which does not include the air."""
+    on_cpu = not resolved.device.startswith("cuda")
+    if resolved.by_modes:
+        return Cost(candidates, 0, 0.0, by_modes if on_cpu and not resolved.scene.effects.air else None, memory)
     grid, node_steps, seconds = resolved.scene.grid, node_steps_of(resolved), None
-    if not resolved.device.startswith("cuda"):
+    if on_cpu:
         relative = [RELATIVE_COST[grid.order, precision] for precision in (grid.precision, "float64")]
         seconds = NODE_STEP_SECONDS["cpu"] * node_steps * (simulated * relative[0] + measured * relative[1])
         seconds *= MOMENT_SECONDS if _moment_form(resolved) else 1
@@ -105,10 +120,8 @@ def search_memory(parametrization: Parametrization, resolved: Resolved, objectiv
     """Return the largest memory of a search [bytes] besides PROGRAM, by the key that determines it."""
     scene, search = parametrization.scene, parametrization.scene.search
     evaluator, actuators = evaluator_of(resolved, parametrization), len(scene.actuators)
-    particles, searched = search.particles, search.frequency
-    regions = len(REGIONS) + len(objectives.regions)
-    matrices = regions * (2.0 * actuators) ** 2
-    highest = max(highest_frequency(scene), 0.0 if searched is None else searched.range[1])
+    particles, regions = search.particles, len(REGIONS) + len(objectives.regions)
+    matrices, highest = regions * (2.0 * actuators) ** 2, _highest(scene)
     memory = _plate_memory(resolved, highest)
     memory["search.particles"] = optimizer_bytes(search, len(parametrization.variables))
     memory["search.iterations"] = history_bytes(search)
@@ -123,11 +136,11 @@ def search_memory(parametrization: Parametrization, resolved: Resolved, objectiv
         number_bytes = 4 if scene.grid.precision == "float32" else 8
         memory["search.particles"] += _plates_bytes(particles, resolved, number_bytes)
     if resolved.by_modes and not parametrization.only_drives:
-        functions, modes = expected_size(scene, highest)
-        numbers = particles * design_numbers(actuators, functions, modes)
-        motion = MOTION_BYTES * min(AMPLITUDES_AT_ONCE, particles * actuators * modes)
+        expected = expected_modes(scene, highest)
+        numbers = particles * design_numbers(actuators, expected.functions, expected.modes)
+        motion = MOTION_BYTES * min(AMPLITUDES_AT_ONCE, particles * actuators * expected.modes)
         memory["search.particles"] += DESIGN_BYTES * min(DESIGN_NUMBERS, numbers) + motion
-        memory["plate.size"] += FORM_BYTES * regions * (2 * modes) ** 2
+        memory["plate.size"] += FORM_BYTES * regions * (2 * expected.modes) ** 2
     if search.robust is not None:
         scenario = scenario_bytes(actuators) + 8 * matrices * (evaluator != "direct") + 24.0 * particles
         memory["search.robust.scenarios"] = search.robust.scenarios * scenario
@@ -155,12 +168,18 @@ def _plate_memory(resolved: Resolved, highest: float) -> dict[str, float]:
     memory["grid.nodes"] = grid_bytes(scene, _moment_form(resolved))
     memory["window.end"] = steps_bytes(scene, grid.steps) if isinstance(grid, Discretization) else 0.0
     if scene.linear:
-        functions, modes = expected_size(scene, highest, REFERENCE_DENSITY)
-        if functions > MOST_REFERENCE:  # more would take too long
-            functions, modes = expected_size(scene, highest)
-        products = PRODUCT_BYTES * min(ROWS, 2 * modes) * 2 * modes
-        memory["plate.size"] = VECTOR_BYTES * functions * modes + products
+        expected = expected_modes(scene, highest, REFERENCE_DENSITY)
+        if expected.functions > MOST_REFERENCE:  # more would take too long
+            expected = expected_modes(scene, highest)
+        products = PRODUCT_BYTES * min(ROWS, 2 * expected.modes) * 2 * expected.modes
+        memory["plate.size"] = VECTOR_BYTES * expected.functions * expected.modes + products
     return memory
+
+
+def _highest(scene: Scene) -> float:
+    """Return the highest frequency [Hz] of a scene's drives and of a search."""
+    searched = scene.search.frequency
+    return max(highest_frequency(scene), 0.0 if searched is None else searched.range[1])
 
 
 def _moment_form(resolved: Resolved) -> bool:
