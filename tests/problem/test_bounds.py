@@ -108,6 +108,14 @@ def test_equal_magnitudes_of_two_are_bounded_by_the_best_on_a_grid(random):
         assert bound.kind == "attained"
 
 
+def test_magnitudes_that_are_fixed_and_equal_do_not_stop_the_search(random):
+    for _ in range(2):
+        factor = random.normal(size=(10, 10)) * np.tile(np.geomspace(1, 1e-2, 5), 2)
+        response, limits = Response(factor @ gram(random, 5).matrices @ factor.T), allowed(5, 1.0, 1.0, equal=True)
+        found = response.localization_factors(bound_localization(response, limits).drive[None])
+        assert found[0] >= response.localization_factors(drawn(random, limits, 5000)).max()
+
+
 def test_units_do_not_matter(random):
     """Actuators of very different strength, and energies in tiny units."""
     response, size = gram(random, 3), np.array([1e-6, 1.0, 1e5])

@@ -274,7 +274,8 @@ def _magnitude_limits(allowed: AllowedDrives) -> list[_Limit]:
             limits.append((-square, low**2, 0.0, False))
         if low < high < math.inf and high != 0:
             limits.append((square, -(high**2), 0.0, False))
-    if allowed.equal:
+    alike = (allowed.lower == allowed.upper).all() and not np.ptp(allowed.lower)
+    if allowed.equal and not alike:  # equations that depend on each other stop an ascent at its start
         limits += [(square - squares[0], 0.0, 0.0, True) for square in squares[1:]]
     limits += _pair_limits(allowed)
     if math.isfinite(allowed.power):
