@@ -152,6 +152,7 @@ def test_what_lies_outside_the_outline_does_not_press():
     assert crossing + rest == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
     assert plate.patch_forces([(0.0, 0.02, 0.0, 0.02)]) == pytest.approx(0, abs=0)  # no chord is inside the disc
     assert plate.at_points([(0.01, 0.01)]) == pytest.approx(0, abs=0)
+    assert plate.at_points([]).shape == (plate.frequencies.size, 0)
     assert not plate.shapes(np.array([0.0, 0.1]), np.array([0.0, 0.1]))[:, 0, 0].any()
     mass = plate.kinetic_matrix(Target(disc=(0.18, 0.1, 0.05))) + plate.kinetic_matrix("plate")
     assert (np.linalg.eigvalsh(mass) > 0).all()

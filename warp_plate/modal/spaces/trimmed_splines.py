@@ -394,4 +394,4 @@ class TrimmedSplines(SplineProducts):
 
 def _products(along_y: np.ndarray, along_x: np.ndarray) -> np.ndarray:
     """Return (points, products) of functions (points, ny) and (points, nx)."""
-    return (along_y[:, :, None] * along_x[:, None, :]).reshape(len(along_y), -1)
+    return (along_y[:, :, None] * along_x[:, None, :]).reshape(len(along_y), along_y.shape[1] * along_x.shape[1])
