@@ -48,8 +48,10 @@ RESPONSE_BYTES = 60.0
 RANK_TOLERANCE = 1e-12
 # Functions along each side of the second solution, relative to the first. An error is FACTOR times the change between
 # them (3.3 times it where they converge as the first power of the spacing, as where rigidity jumps), and besides these
-# parts of a frequency and of a value. A change is the largest of AROUND neighbouring frequencies: it may cross zero.
+# parts of a frequency and of a value. A change is the largest of AROUND neighbouring frequencies, and of motions of
+# points BESIDE by so many intervals of the splines too: it may cross zero.
 COARSER, FACTOR, LEAST_SHIFT, AROUND = 1 / 1.3, 4.0, 1e-6, 25
+BESIDE = 0.25 * np.array([(0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1), (2, 0), (0, 2), (-2, 0), (0, -2)])
 # Of responses at points, and of means over regions.
 LEAST_ERRORS = (2e-3, 5e-4, 5e-4, 5e-4)
 
@@ -112,17 +114,23 @@ def frf(
         lost = 2 * widths / natural
     terminals = inputs if quantity == IMPEDANCE else ()
 
-    count = len(inputs) * len(points)
+    count, moving = len(inputs) * len(points), quantity not in SOUND
+    places_observed = _with_places_beside(plate, points) if moving else points
     what = f"points: {count} responses at {frequencies.size} frequencies"
-    refuse_beyond_memory(RESPONSE_BYTES * count * frequencies.size, what)
+    refuse_beyond_memory(RESPONSE_BYTES * len(inputs) * len(places_observed) * frequencies.size, what)
 
     def observer(plate: ModalPlate, highest: float) -> Observer:
-        return observe_sound(plate, highest, quantity, points, baffle) if quantity in SOUND else _motion(plate, points)
+        if moving:
+            return _motion(plate, places_observed)
+        return observe_sound(plate, highest, quantity, points, baffle)
 
     responses, factor, bound, velocity = curves = _responses(
         plate, frequencies, forces, observer(plate, high), terminals
     )
     shifts, of_responses, *of_others = _errors(plate, frequencies, inputs, observer, curves, terminals)
+    if moving and len(points):
+        beside = (count, len(BESIDE), frequencies.size)
+        responses, of_responses = responses.reshape(beside)[:, 0], of_responses.reshape(beside).max(axis=1)
     derivative = (2j * np.pi * frequencies) ** DERIVATIVES.get(quantity, 0)
     shown = (natural >= low) & (natural <= high)
     return FrequencyResponse(
@@ -311,6 +319,12 @@ def _motion(plate: ModalPlate, points: Sequence[Any] | np.ndarray) -> Observer:
     """Return the observer of receptances of points (x, y) [m]."""
     shapes = plate.at_points(points)
     return lambda frequencies, amplitudes: (np.moveaxis(amplitudes, 1, 2) @ shapes).reshape(len(frequencies), -1)
+
+
+def _with_places_beside(plate: ModalPlate, points: Sequence[Any] | np.ndarray) -> np.ndarray:
+    """Return each point (x, y) [m] and the places ``BESIDE`` it on the plate, one below the other."""
+    places = np.reshape(points, (-1, 1, 2)) + BESIDE * plate.space.interval_sizes
+    return np.clip(places, 0, plate.scene.plate.size).reshape(-1, 2)
 
 
 def _plate_mass(plate: ModalPlate) -> np.ndarray | None:
