@@ -13,6 +13,7 @@ from support.scenes import refused, scene_of
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result, localize, resume, save_result
 from warp_plate.result.atomic_io import SEAL_BYTES, atomic_paths, make_seal, write_atomically
 from warp_plate.result.checkpoint import save_checkpoint
+from warp_plate.result.hdf5 import FileFormat
 
 SMALL = {"search": {"particles": 4, "iterations": 3}, "record": {"points": ((0.1, 0.1),)}}
 
@@ -131,6 +132,16 @@ def test_a_limit_on_the_size_of_files(written_files, tmp_path, caplog):
     assert line.startswith(f"{path}: cannot be written: File too large")
     found = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
     assert found == {"file.bin": b"whole", "a.checkpoint.h5": written_files["checkpoint"][0]}
+
+
+def test_files_are_composed_side_by_side(tmp_path):
+    """As by threads that save at once."""
+    layout = FileFormat("result", 1)
+    with layout.create(tmp_path / "a.h5") as one, layout.create(tmp_path / "b.h5") as other:
+        one["number"], other["number"] = 1, 2
+    for name, number in (("a.h5", 1), ("b.h5", 2)):
+        with layout.open(tmp_path / name) as file:
+            assert file["number"][()] == number
 
 
 def test_a_rename_that_fails_leaves_the_old_file(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ Files are written atomically. On reading, links, data in other files and dataset
 """
 
 import math
+import secrets
 import textwrap
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -31,12 +32,13 @@ NUMBERS_OF_MAT = "double", "single", "int", "uint", "logical"  # first letters o
 def create_hdf5(path: Path, end: Callable[[bytes], bytes] = lambda content: b"") -> Iterator[h5py.File]:
     """Yield an HDF5 file that is written atomically at the end, followed by a function of its content.
 
-    It is composed in memory, because HDF5 does not reliably report a full disk, and may crash on it.
+    It is composed in memory, because HDF5 does not reliably report a full disk, and may crash on it. There it has a
+    name of its own, since HDF5 creates no file that is open, as by a thread that saves at the same time.
 
     Raises:
         SceneError: it cannot be written; see :func:`atomic_path`.
     """
-    with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
+    with h5py.File(secrets.token_hex(), "w", driver="core", backing_store=False) as file:
         yield file
         file.flush()
         content: bytes = file.id.get_file_image()
