@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_plate.interrupts import deferred_interrupts
+from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.case import only_actuator
 from warp_plate.result.model import Result
@@ -203,6 +203,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], sample: Image.Image,
         finally:
             encoder.communicate()
     if encoder.returncode:
+        check_interrupt()  # a terminal sends Ctrl-C to the encoder too
         raise OSError(f"its encoder ended with status {encoder.returncode}; is the disk full?")
 
 
@@ -232,14 +233,18 @@ def _off_screen_plates(
 
 @contextmanager
 def off_screen_plotter(size: tuple[int, int], **options: Any) -> Iterator[tuple[pyvista.Plotter, TakePicture]]:
-    """Yield a supersampled plotter, and a function that takes a picture of it with this size [pixels]."""
+    """Yield a supersampled plotter, and a function that takes a picture of it with this size [pixels].
+
+    Ctrl-C waits for the next picture or the end: VTK would lose it in filters written in Python, and draw on.
+    """
     from PIL import Image
 
     set_up_renderer()
     large = (round(SUPERSAMPLING * size[0]), round(SUPERSAMPLING * size[1]))
-    with closing(make_plotter(large, off_screen=True, **options)) as plotter:
+    with deferred_interrupts(), closing(make_plotter(large, off_screen=True, **options)) as plotter:
 
         def take_picture() -> Image.Image:
+            check_interrupt()
             plotter.render()
             pixels = np.asarray(plotter.screenshot(return_img=True))
             return Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS)

@@ -1,6 +1,8 @@
 """``warp-plate render``: every kind of file, and invalid options."""
 
 import json
+import os
+import signal
 import subprocess
 
 import numpy as np
@@ -150,3 +152,33 @@ def test_ctrl_c_keeps_the_files_that_are_done(render, monkeypatch, tmp_path):
     for out, line in (("a.html", "interrupted; wrote only a.html"), ("a.svg", "interrupted")):
         assert render("--out", out, "--out", "b.svg") == (130, "", f"warp-plate: {line}\n")
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]
+
+
+@pytest.mark.parametrize("out", ["a.png", "a.gif"])
+def test_ctrl_c_in_a_filter_of_vtk_is_not_lost(out, render, drawing, monkeypatch, tmp_path):
+    """VTK reports exceptions of filters written in Python, and draws on without them."""
+    from vtkmodules.util.vtkAlgorithm import VTKPythonAlgorithmBase
+
+    def interrupted(*given, request=VTKPythonAlgorithmBase.ProcessRequest):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return request(*given)
+
+    monkeypatch.setattr(VTKPythonAlgorithmBase, "ProcessRequest", interrupted)
+    assert render("--out", out, "--frames", "4") == (130, "", "warp-plate: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_that_ends_the_encoder_of_a_movie(render, drawing, monkeypatch, tmp_path):
+    """A terminal sends it to all processes of a command."""
+    pytest.importorskip("imageio_ffmpeg")
+
+    def interrupted(*given, start=subprocess.Popen, **options):
+        encoder = start(*given, **options)
+        if options.keys() == {"stdin"}:
+            os.kill(os.getpid(), signal.SIGTERM)
+            encoder.kill()
+        return encoder
+
+    monkeypatch.setattr("subprocess.Popen", interrupted)
+    assert render("--out", "a.mp4", "--frames", "4") == (130, "", "warp-plate: interrupted\n")
+    assert not list(tmp_path.iterdir())
