@@ -5,6 +5,7 @@ SIGTERM, which batch systems send before they kill, and SIGHUP of a closed termi
 
 from __future__ import annotations
 
+import _thread
 import signal
 import sys
 import threading
@@ -15,6 +16,8 @@ from typing import Any
 # Sent by a terminal to all processes of a command; Windows has no SIGHUP.
 TERMINAL_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name))
 END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
+# Time after which an interrupt that was lost is repeated [s].
+REPEATED = 0.01
 _pending = False
 
 
@@ -61,7 +64,7 @@ def end_signals(handle: Callable[[int, Any], object]) -> Iterator[None]:
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if Ctrl-C was pressed in ``deferred_interrupts``, or if Python lost it."""
+    """Raise KeyboardInterrupt if Ctrl-C was pressed in ``deferred_interrupts``."""
     global _pending
     if _pending and threading.current_thread() is threading.main_thread():
         _pending = False
@@ -82,14 +85,15 @@ def ignore_interrupts() -> None:
             signal.signal(number, signal.SIG_IGN)
 
 
-def remember_lost_interrupts() -> None:
-    """Let ``check_interrupt`` raise again a KeyboardInterrupt that Python could only report, as in ``__del__``."""
+def repeat_lost_interrupts() -> None:
+    """Send SIGTERM soon after a KeyboardInterrupt that Python could only report, as in ``__del__`` or an import."""
     report = sys.unraisablehook
 
     def hook(unraisable: sys.UnraisableHookArgs) -> None:
-        global _pending
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            _pending = True
+            again = threading.Timer(REPEATED, _thread.interrupt_main, [signal.SIGTERM])
+            again.daemon = True
+            again.start()
         else:
             report(unraisable)
 

@@ -174,18 +174,33 @@ def test_a_command_that_starts_ends_in_one_line(module, endless):
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-# Sends Ctrl-C while a text is executed, as libraries do when they are imported.
+# Sends Ctrl-C while a text is executed, as libraries do when they are imported; where Python can only report it, as in
+# its own import system; and while a class is made, where Python 3.11 raises another error.
 EXECUTING = """
-import os, signal, sys
+import os, signal, sys, time, weakref
 from warp_plate.cli import main
-main.load = lambda name: exec("os.kill(os.getpid(), signal.SIGINT)")
+interrupt = lambda *_: os.kill(os.getpid(), signal.SIGINT)
+
+class Attribute:
+    __set_name__ = interrupt
+
+main.load = lambda name: {code}
 main.main(sys.argv[1:])
 """
 
 
-def test_the_status_is_that_of_an_interrupt_wherever_it_comes(endless):
-    status, out, err, _ = end(start("-c", EXECUTING, "check", "panel.toml"))
+@pytest.mark.parametrize(
+    "code",
+    [
+        "exec('interrupt()')",
+        pytest.param("(weakref.finalize(set(), interrupt), [time.sleep(0.1) for _ in range(200)])", id="weakref"),
+        pytest.param("type('Made', (), {'attribute': Attribute()})", id="class"),
+    ],
+)
+def test_the_status_is_that_of_an_interrupt_wherever_it_comes(code, endless):
+    status, out, err, seconds = end(start("-c", EXECUTING.replace("{code}", code), "check", "panel.toml"))
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
+    assert seconds < 10
 
 
 # The same while pictures are drawn, which are left out.

@@ -21,7 +21,7 @@ from warp_plate.interrupts import (
     end_signals,
     ignore_interrupts,
     interrupt_on_termination,
-    remember_lost_interrupts,
+    repeat_lost_interrupts,
 )
 from warp_plate.scene.errors import SceneError
 
@@ -109,7 +109,7 @@ def main(arguments: list[str] | None = None) -> None:
     postpone_garbage()
     _prepare_streams()
     interrupt_on_termination()
-    remember_lost_interrupts()
+    repeat_lost_interrupts()
     # A command that is done ignores signals, but not in a program that called main.
     signals = nullcontext() if arguments is None else end_signals(signal.default_int_handler)
     try:
@@ -151,6 +151,10 @@ def _run(words: list[str]) -> None:
     except (SceneError, CycloptsError) as error:
         log(str(error))
         sys.exit(2)
+    except (ImportError, RuntimeError, SystemError) as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # as Python 3.11 wraps it while a class is made
+            raise error.__cause__ from None
+        raise
     except MemoryError as error:
         log(f"out of memory: {error}; use fewer nodes, actuators, particles, record.times or record.points")
         sys.exit(2)
