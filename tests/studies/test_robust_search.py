@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import asdict
-from unittest.mock import MagicMock, PropertyMock
+from unittest.mock import MagicMock, Mock, PropertyMock
 
 import numpy as np
 import pytest
@@ -14,10 +14,12 @@ from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.uncertainty import apply_measure
 from warp_plate.resolve import resolve
+from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.model import load_result, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies.localize import localize, resume
 from warp_plate.studies.searches import find_nominal_position
+from warp_plate.studies.unfinished import CheckpointFile
 
 TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 3}
 
@@ -110,8 +112,17 @@ def test_the_nominal_drive_of_a_robust_search_by_modes_is_that_of_a_plain_search
     assert robust_drive >= nominal_drive
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), SceneError("no places were found")], ids=["Ctrl-C", "refusal"])
-def test_a_nominal_search_that_ends_early_leaves_nothing_to_compare(error):
+def test_a_nominal_search_that_is_refused_leaves_nothing_to_compare():
     problem = MagicMock(scenario_losses="some")
-    type(problem).nominal = PropertyMock(side_effect=error)
+    type(problem).nominal = PropertyMock(side_effect=SceneError("no places were found"))
     assert find_nominal_position(problem, 0) is None
+
+
+def test_a_search_whose_nominal_search_is_interrupted_is_resumed(tmp_path, monkeypatch):
+    scene, options = robust(search={"particles": 4, "iterations": 3}, fresh=3), {"device": "cpu", "estimate": False}
+    file = CheckpointFile(tmp_path / "a.checkpoint.h5")
+    with monkeypatch.context() as patch:
+        patch.setattr("warp_plate.studies.searches.find_position", Mock(side_effect=KeyboardInterrupt))
+        found = localize(scene, checkpoints=file, **options)
+    assert (found.interrupted, found.robust) == (True, None)
+    assert_same_results(resume(load_checkpoint(file.path), estimate=False), localize(scene, **options))

@@ -48,10 +48,11 @@ def run_search(
     problem: Problem,
     on_progress: OnProgress | None = None,
     checkpoints: CheckpointFile | None = None,
-) -> tuple[Optimizer | None, bool]:
-    """Run a search; return its optimizer, None if there is nothing to search, and whether Ctrl-C ended it."""
+) -> tuple[Optimizer | None, np.ndarray | None, bool]:
+    """Run a search; return its optimizer, None if there is nothing to search, the best position of a robust problem's
+    nominal plate, and whether Ctrl-C ended it."""
     if start.search_state is None:
-        return None, False
+        return None, None, False
     optimizer = search_optimizer(problem, start.seed, start.search_state)
     if optimizer is None:
         raise SceneError("checkpoint: holds the state of a search, but its scene leaves nothing to search")
@@ -88,15 +89,15 @@ def run_search(
             if checkpoints is not None and checkpoints.due():
                 save()
             minimize(optimizer, problem.losses, after_iteration)
+        return optimizer, find_nominal_position(problem, start.seed), False
     except SecondInterrupt:  # the optimizer may be half updated, so only an earlier checkpoint is valid
         raise
     except KeyboardInterrupt:
         save()
-        return optimizer, True
+        return optimizer, None, True
     except Exception:  # such as WorkersGone
         save()
         raise
-    return optimizer, False
 
 
 def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
@@ -137,7 +138,7 @@ def find_nominal_position(problem: Problem, seed: int) -> np.ndarray | None:
     """Return the best position (dimension,) of a robust problem's nominal plate; None if there is none."""
     if problem.scenario_losses is None:
         return None
-    with suppress(KeyboardInterrupt, SceneError):
+    with suppress(SceneError):
         return find_position(problem.nominal, seed)
     return None
 
@@ -227,9 +228,7 @@ def search_targets(
             if on_progress is not None:
                 on_progress(before * total + iterations, count * total, best)
 
-        optimizer, interrupted = run_search(start, problem, on_iteration, checkpoints)
-        if optimizer is not None and not interrupted:
-            nominal_position = find_nominal_position(problem, start.seed)
+        optimizer, nominal_position, interrupted = run_search(start, problem, on_iteration, checkpoints)
         position, evaluations, history = finish_search(optimizer, problem, nominal_position, interrupted)
         search = TargetSearch(
             position=position,
