@@ -175,10 +175,11 @@ def test_a_command_that_starts_ends_in_one_line(module, endless):
 
 
 # Sends Ctrl-C while a text is executed, as libraries do when they are imported; where Python can only report it, as in
-# its own import system; and while a class is made, where Python 3.11 raises another error.
+# its own import system; and where another error follows: while a class is made (Python 3.11), or a lock is taken.
 EXECUTING = """
-import os, signal, sys, time, weakref
+import os, signal, sys, threading, time, weakref
 from warp_plate.cli import main
+lock = threading.Lock()
 interrupt = lambda *_: os.kill(os.getpid(), signal.SIGINT)
 
 class Attribute:
@@ -194,6 +195,7 @@ main.main(sys.argv[1:])
     [
         "exec('interrupt()')",
         pytest.param("(weakref.finalize(set(), interrupt), [time.sleep(0.1) for _ in range(200)])", id="weakref"),
+        pytest.param("exec('with lock: lock.release(); interrupt()')", id="lock"),
         pytest.param("type('Made', (), {'attribute': Attribute()})", id="class"),
     ],
 )

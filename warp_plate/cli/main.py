@@ -152,8 +152,8 @@ def _run(words: list[str]) -> None:
         log(str(error))
         sys.exit(2)
     except (ImportError, RuntimeError, SystemError) as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # as Python 3.11 wraps it while a class is made
-            raise error.__cause__ from None
+        if isinstance(error.__context__, KeyboardInterrupt):  # while a class is made (Python 3.11), or a lock is taken
+            raise error.__context__ from None
         raise
     except MemoryError as error:
         log(f"out of memory: {error}; use fewer nodes, actuators, particles, record.times or record.points")
