@@ -328,6 +328,15 @@ def test_ctrl_c_after_the_search_keeps_the_starts(monkeypatch, tmp_path):
     assert len(wpl.design(scene, unfinished=file).history) == 1
 
 
+def test_starts_of_another_design_are_not_replaced_without_a_word(tmp_path, caplog):
+    file = tmp_path / "starts.json"
+    file.write_text('{"design": "another", "starts": []}')
+    scene = designed_scene({"thickness": THICKNESS, "starts": 1, "iterations": 1})
+    assert len(wpl.design(scene, unfinished=file, check=False).history) == 1
+    (line,) = caplog.messages
+    assert line.startswith(f"{file} holds starts of another search or version")
+
+
 def test_a_full_disk_does_not_end_a_design(monkeypatch, tmp_path, caplog):
     full = Mock(side_effect=wpl.SceneError("starts.json: cannot be written: No space left on device"))
     monkeypatch.setattr("warp_plate.designing.design.write_atomically", full)

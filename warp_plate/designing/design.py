@@ -46,6 +46,7 @@ MOST_LIMITED = 1000
 # Of the check by time steps: relative error at which grids are fine enough, nominal time of all of them [s], and the
 # number of attachments that take as long as the rest of a step.
 WANTED, SECONDS, ATTACHED = 2e-3, 10.0, 10
+LOGGER = logging.getLogger("warp_plate")
 # Function of the iterations done, all of them and a note.
 Progress = Callable[[int, int, str], object]
 
@@ -229,7 +230,7 @@ def _write(file: Path, digest: str, climbs: Sequence[Climb]) -> None:
     try:
         write_atomically(f"{json.dumps(record)}\n".encode(), file)
     except SceneError as error:
-        logging.getLogger("warp_plate").warning("%s; continuing without", error)
+        LOGGER.warning("%s; continuing without", error)
 
 
 def _read(file: Path, digest: str, panel: FreePanel, candidates: Candidates) -> list[Climb]:
@@ -239,6 +240,7 @@ def _read(file: Path, digest: str, panel: FreePanel, candidates: Candidates) -> 
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
         if record["design"] != digest:
+            LOGGER.warning("%s holds starts of another search or version; those of this one will replace them", file)
             return []
         climbs = [Climb(**row) for row in record["starts"]]
         for climb in climbs:
