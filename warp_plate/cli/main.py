@@ -151,13 +151,13 @@ def _run(words: list[str]) -> None:
     except (SceneError, CycloptsError) as error:
         log(str(error))
         sys.exit(2)
+    except MemoryError as error:
+        log(f"out of memory: {error}; use fewer nodes, actuators, particles, record.times or record.points")
+        sys.exit(2)
     except (ImportError, RuntimeError, SystemError) as error:
         if isinstance(error.__context__, KeyboardInterrupt):  # while a class is made (Python 3.11), or a lock is taken
             raise error.__context__ from None
         raise
-    except MemoryError as error:
-        log(f"out of memory: {error}; use fewer nodes, actuators, particles, record.times or record.points")
-        sys.exit(2)
     except SystemExit as ended:
         if isinstance(ended.__context__, BrokenPipeError):  # while rich printed the help, which it ends with status 1
             raise ended.__context__ from None
