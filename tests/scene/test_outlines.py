@@ -84,6 +84,21 @@ def test_wrong_tables_are_refused_in_one_line(changes, message):
     assert message in refused(outlined(DISC, edge).replace, key, value)
 
 
+@pytest.mark.parametrize(
+    ("outline", "start"),
+    [
+        ({"polygon": [(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.2)]}, "plate.outline: side 0 crosses or touches side 2"),
+        (
+            {"rectangle": (0.2, 0.1), "corner_radius": 1e-30},
+            "plate.outline: the arc at corner 0 has no length; write no point twice and no arc of less than 2e-10 m",
+        ),
+        ({"path": [(0, 0), (0.1,)]}, "plate.outline.path[1]: 1 numbers; write 2 (straight), 5 (arc) or 7"),
+    ],
+)
+def test_what_is_wrong_with_an_outline_is_named_by_its_key(outline, start):
+    assert refused(outlined(DISC).replace, "plate.outline", outline).startswith(start)
+
+
 def test_a_rectangle_by_its_size_takes_no_keys_of_outlines():
     scene = Scene.load("paper")
     assert "edges.outline: the plate has no outline" in refused(scene.replace, "edges.outline", "free")

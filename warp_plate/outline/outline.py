@@ -233,7 +233,8 @@ def _check_crossings(loops: Mapping[str, Sequence[Piece]]) -> None:
         (key, one), (other, two) = listed[first], listed[second]
         if first == second:
             if one.length < TOUCH * size:
-                raise ValueError(f"{key}: {one.name} has no length; write no point twice")
+                shortest = f"no arc of less than {TOUCH * size:.3g} m"
+                raise ValueError(f"{key}: {one.name} has no length; write no point twice and {shortest}")
             continue
         joints = ((one.end, two.start), (one.start, two.end))
         ends = [end for end, start in joints if np.linalg.norm(end - start) <= TOUCH * size]

@@ -53,9 +53,10 @@ class ClosedCurve(Shape):
 
     def _path(self, condition: Any, edge: str) -> list[Piece]:
         rows, pieces = self.path or (), []
-        for index, (row, ahead) in enumerate(zip(rows, (*rows[1:], *rows[:1]), strict=True)):
+        for index, row in enumerate(rows):
             if len(row) not in (2, 5, 7):
                 raise ValueError(f"path[{index}]: {len(row)} numbers; write 2 (straight), 5 (arc) or 7 (of an ellipse)")
+        for index, (row, ahead) in enumerate(zip(rows, (*rows[1:], *rows[:1]), strict=True)):
             if len(row) > 2 and not 1e-9 < abs(row[-1]) <= 2 * math.pi:
                 raise ValueError(f"path[{index}]: an angle of {row[-1]:g}; write one from -2π to 2π, not 0")
             try:
@@ -210,7 +211,10 @@ class Plate(Table):
             return {**tables, "size": (1.0, 1.0)}
         if outline.file is not None:
             raise ValueError(f"outline.file: {outline.file!r} is read with a scene file beside it; write that, or path")
-        x0, x1, y0, y1 = outline_of(outline, (), Edges()).bounds
+        try:
+            x0, x1, y0, y1 = outline_of(outline, (), Edges()).bounds
+        except ValueError as error:  # which names the key in the scene
+            raise ValueError(str(error).removeprefix("plate.")) from None
         if min(x0, y0) < -1e-9 * max(x1 - x0, y1 - y0):
             raise ValueError(f"outline: reaches to x = {x0:.6g}, y = {y0:.6g} m; move it to x, y from 0 on")
         return {**tables, "size": (x1, y1)}
