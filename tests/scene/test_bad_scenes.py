@@ -103,6 +103,11 @@ def check_arrays(scene):
     assert all(np.isfinite(field).all() for field in fields)
 
 
+def test_keys_that_are_no_modes_are_named():
+    line = refused(Scene.from_tables, changed(("design", "limits"), {"modes": {"0": [1.0, 2.0]}}))
+    assert line == 'design.limits.modes.0 = "0": must be the number of a mode, from 1 to 999'
+
+
 def test_values_of_other_kinds_and_extreme_numbers():
     """Each value, list and table in turn replaced by values of other kinds, and left out, without optional tables."""
     paths = {path[:length] for path in leaf_paths(ALL_KEYS) for length in range(1, len(path) + 1)}

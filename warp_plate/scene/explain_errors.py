@@ -26,6 +26,7 @@ _REQUIREMENTS = {
     "dict_type": "a table",
     "literal_error": "{expected}",
     "string_type": "a text in quotes",
+    "string_pattern_mismatch": "the number of a mode, from 1 to 999",
     "string_too_short": "a text of {min_length} or more characters",
 }
 # Error types for which the requirement follows from the annotation of the field.
@@ -54,6 +55,8 @@ def _errors_by_location(error: ValidationError) -> dict[Location, Mapping[str, A
     errors: dict[Location, Mapping[str, Any]] = {}
     for details in error.errors():
         location = details["loc"]
+        if location[-1:] == ("[key]",):  # of a table of any keys, which pydantic names here
+            location = location[:-1]
         if details["type"] == "missing" and isinstance(location[-1], int):  # the list is too short
             location, details = location[:-1], {**details, "type": "too_short"}
         errors.setdefault(location, details)
