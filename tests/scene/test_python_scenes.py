@@ -3,6 +3,7 @@
 import pydoc
 import re
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 
@@ -66,6 +67,30 @@ def test_repr_is_a_short_line():
 def test_what_is_wrong_is_named_in_one_line(make, line):
     with pytest.raises(SceneError, match=line):
         make()
+
+
+@pytest.mark.parametrize(
+    ("value", "what"),
+    [
+        (np.True_, "a number"),
+        (np.complex128(300 + 1j), "a number"),
+        (np.str_("300"), "a number"),
+        (np.ma.masked, "a finite number"),
+        (np.array([300.0]), "a number"),
+    ],
+)
+def test_numbers_of_numpy_that_are_none(value, what):
+    with pytest.raises(SceneError, match=rf"^drive\.frequency = .*: must be {what}$"):
+        glass_panel().replace("drive.frequency", value)
+
+
+def test_numbers_of_numpy_and_lists_without_an_order():
+    swapped = np.array([0.2, 0.12], ">f8")
+    assert glass_panel().replace("plate.size", swapped) == glass_panel()
+    assert glass_panel().replace("drive.frequency", np.array(300, np.uint16)) == glass_panel()
+    for value in ({0.2, 0.12}, np.array([True, True]), np.array(["0.2", "0.12"])):
+        with pytest.raises(SceneError, match=r"^plate\.size = .*: must be a list of numbers$"):
+            glass_panel().replace("plate.size", value)
 
 
 def test_replace_changes_one_key():

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import math
 import re
 import sys
 import textwrap
@@ -142,12 +143,13 @@ class Table(BaseModel, metaclass=_Documented):
     @field_validator("*", mode="before")
     @classmethod
     def _neither_texts_nor_booleans(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse "4" and true for a number, which pydantic would take for 4 and 1."""
-        if isinstance(value, float | int | list | tuple | str | bytes) and type(value) not in (float, int):
-            number = _number_of(cls, str(info.field_name))
-            if number and any(isinstance(part, bool | str | bytes) for part in _leaves(value)):
-                raise PydanticCustomError("no_number", "must be {number}", {"number": number})
-        return value
+        """Refuse "4", true and sets for numbers, which pydantic would take for 4, 1 and numbers in any order."""
+        if type(value) in (float, int) or not (number := _number_of(cls, str(info.field_name))):
+            return value
+        plain = _plain(value)
+        if any(isinstance(part, bool | str | bytes | set | frozenset) for part in _leaves(plain)):
+            raise PydanticCustomError("no_number", "must be {number}", {"number": number})
+        return plain
 
     def _derive(self, key: str, value: object) -> None:
         """Set a key that follows from others, during validation: it does not count as written in the file."""
@@ -194,6 +196,14 @@ def _number_of(table: type[BaseModel], name: str) -> str:
     if float in parts:
         return f"{several}numbers" if several else "a number"
     return (f"{several}whole numbers" if several else "a whole number") if int in parts else ""
+
+
+def _plain(value: Any) -> Any:
+    """Return numbers and arrays of NumPy, in lists too, as those of Python; a masked number is NaN."""
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    plain = value.tolist() if hasattr(value, "tolist") else value
+    return math.nan if plain is None and value is not None else plain
 
 
 def _leaves(value: Any) -> Iterator[Any]:
