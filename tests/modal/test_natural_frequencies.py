@@ -250,6 +250,13 @@ def test_buckling(direction):
         solve_modes(scene(1e9))
 
 
+def test_buckling_beside_a_shear_layer():
+    """Forces of both add up; the layer alone buckles no plate."""
+    effects = {"tension": {"x": -1e6, "y": 5.0}, "shear_layer": {"stiffness": 10.0}}
+    with pytest.raises(SceneError, match=r"^effects\.tension and shear layer = {x = -999990, y = 15}: the plate"):
+        solve_modes(dense_scene(effects=effects))
+
+
 @pytest.mark.parametrize("mass", [0.0, 1.0])
 def test_springs_that_hide_the_plate(mass):
     """Stiff springs of oscillators hold their patch as if they were rigid, or are refused by name."""

@@ -31,8 +31,9 @@ DENSE_MATRICES, LANCZOS_VECTORS = 7, 4
 DENSE = 0.1
 # A negative ω² beyond this part of the size of the lowest shows that the plate buckles.
 BUCKLED = 1e-8
-# Intervals along both sides for the critical load.
-INTERVALS = 18
+# Intervals along both sides for the critical load, and the least ratio to it of forces that make a plate buckle: the
+# coarse functions overestimate it a little.
+INTERVALS, LEAST_PRESSED = 18, 0.9
 
 
 def solve_eigenproblem(
@@ -173,15 +174,21 @@ def _from_curvatures(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
 def _buckled(scene: Scene) -> SceneError:
     """Return the error for a plate that in-plane forces T buckle: for some μ < 1, K − T + μT is singular; or for one
     whose springs are too stiff for the precision."""
-    forces = {term.factors: term for term in scene.terms if term.factors in IN_PLANE}
-    if not forces:  # then rounding has made K indefinite
-        rule = "leave out the stiffness of a rigid support, and write edges as clamped or supported"
-        return SceneError(f"supports, edges: a spring is too stiff beside the plate; {rule}")
+    forces = [term for term in scene.terms if term.factors in IN_PLANE]
+    # The first addend keeps the sign of a zero.
+    x, y = (sum((term.coefficient for term in forces if term.factors == one), start=-0.0) for one in IN_PLANE)
+    rule = "leave out the stiffness of a rigid support, and write edges as clamped or supported"
+    stiff = SceneError(f"supports, edges: a spring is too stiff beside the plate; {rule}")
+    if min(x, y) >= 0:  # then rounding has made K indefinite
+        return stiff
     free = scene.effects.keeping(lambda effect: all(term.factors not in IN_PLANE for term in effect.terms(scene.plate)))
     space = make_space(scene, (INTERVALS, INTERVALS))
     pressed, bare = (make_galerkin(one, space).stiffness for one in (scene, scene.model_copy(update={"effects": free})))
     # The rigid motion of a plate that nothing holds gets a stiffness of rounding's size.
     held = bare + 1e-12 * bare.diagonal().max() * scipy.sparse.eye_array(bare.shape[0])
-    largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]
-    x, y = (forces[factors].coefficient if factors in forces else 0.0 for factors in IN_PLANE)
-    return buckled(next(iter(forces.values())).label, (x, y), 1 / largest)
+    try:
+        largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]
+    except scipy.sparse.linalg.ArpackError:  # rounding has left nothing of the forces
+        return stiff
+    label = " and ".join(dict.fromkeys(term.label for term in forces))
+    return buckled(label, (x, y), 1 / largest) if largest > LEAST_PRESSED else stiff
