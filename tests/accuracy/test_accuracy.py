@@ -124,6 +124,8 @@ def test_uncertainty_covers_further_refinement(panel, exact):
     fast = panel.model_copy(update={"drive": panel.drive.model_copy(update={"frequency": 3e4})})
     with pytest.raises(SceneError, match=r"^drive\.frequency"):
         configurations.refuse_many_modes(fast)
+    with pytest.raises(SceneError, match=r"^actuators\[0\]\.frequency"):
+        configurations.refuse_many_modes(panel.replace("actuators[0].frequency", 3e4))
 
 
 def test_the_modal_reference_is_the_sine_series():

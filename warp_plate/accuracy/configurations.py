@@ -10,7 +10,7 @@ import numpy as np
 from warp_plate.modal.modes import REACH
 from warp_plate.plate.operator import FEWEST_NODES
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
-from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.signals import highest_frequency, key_of_highest
 from warp_plate.plate.stability_limit import find_limit, needs_moment_form
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Window
@@ -97,7 +97,7 @@ def refuse_many_modes(scene: Scene) -> None:
     if modes > MOST_MODES:
         width, height = scene.plate.size
         limit = f"at most {MOST_MODES} are computed (the plate is {width:g} × {height:g} m)"
-        raise SceneError(f"drive.frequency: {modes:.0f} modes would be needed; {limit}")
+        raise SceneError(f"{key_of_highest(scene)}: {modes:.0f} modes would be needed; {limit}")
 
 
 def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple[int, int]:

@@ -94,6 +94,11 @@ def highest_frequency(scene: Scene) -> float:
     return max(times * frequency for _, frequency, times in _named_frequencies(scene))
 
 
+def key_of_highest(scene: Scene) -> str:
+    """Return the key of the highest frequency."""
+    return max(_named_frequencies(scene), key=lambda named: named[1] * named[2])[0]
+
+
 def actuator_frequencies(scene: Scene) -> np.ndarray:
     """Return (actuators,) frequencies of the actuators' carriers at t = 0 [Hz]; ``drive.frequency`` for a file."""
     return np.array([actuator.frequency or scene.drive.frequency for actuator in scene.actuators])
