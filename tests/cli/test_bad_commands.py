@@ -24,7 +24,7 @@ NO_NUMBER = ["", " ", "a", "nan", "1e400", "9" * 5000, "0b2", "²", "a\0b", "\x1
 NO_WORD = ["", "a", "0", "AUTO ", "a\0b", "\x1b[31m", "[red]", "a\nb", "\ud800", LONG]
 NO_DEVICE = ["", "0", "gpu", "cuda:-1", "cuda:999", "cuda:" + "9" * 20, "cpu:0", "cpu,cpu,", "a\0b", "\x1b[31m"]
 NO_FLAG = ["=maybe", "=2", "=[red]", "=\x1b[31m"]
-NO_ACCURACY = ["", "0", "-1%", "nan", "inf%", "1e400", "1%%", "51%", "one", "\x1b[31m", "9" * 5000]
+NO_ACCURACY = ["", "0", "1_0%", "٣%", "-1%", "nan", "inf%", "1e400", "1%%", "51%", "one", "\x1b[31m", "9" * 5000]
 NO_RESULT = ["", ".", "a", "none", "junk.h5", "folder.h5", "a\0b.checkpoint.h5", f"{LONG}.checkpoint.h5"]
 NO_FILE = ["", ".", "..", "/", "found.txt", "h5"]
 NO_FILE += [f"{stem}{{0}}" for stem in ("no/x", "file/x", LONG, "a\0b", "\ud800", "folder")]

@@ -98,6 +98,7 @@ def test_ranges_have_their_ends_and_even_steps(start, stop, count, kind):
     [
         ("drive.frequency", "must be KEY=RANGE"),
         ("drive.frequency=", "'' is not a number"),
+        ("drive.frequency=٣,4", "'٣' is not a number"),
         ("drive.frequency=1:2:0", "COUNT = '0': must be a whole number"),
         ("drive.frequency=1:1:4", "START and STOP must differ"),
         ("drive.frequency=log:0:1:4", "both ends of a logarithmic range must be"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -126,7 +127,8 @@ class SceneOptions(SceneChanges):
             return scene
         text = self.accuracy.strip()
         try:
-            return scene.with_accuracy(float(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
+            number = math.nan if "_" in text or not text.isascii() else float(text.removesuffix("%"))
+            return scene.with_accuracy(number / (100 if text.endswith("%") else 1))
         except ValueError:
             raise SceneError(f"--accuracy {self.accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 

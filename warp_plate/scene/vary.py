@@ -231,7 +231,7 @@ def _nearest_integers(values: np.ndarray) -> np.ndarray:
 
 def _parse_number(text: str, key: str, integer: bool) -> float:
     try:
-        value = math.nan if "_" in text else float(text)
+        value = math.nan if "_" in text or not text.isascii() else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
