@@ -54,6 +54,7 @@ def test_keys_of_a_fit_are_set():
     [
         ("drive.frequency", "must be KEY=VALUE"),
         ("=3", "must be KEY=VALUE"),
+        ("actuators.none.phase=1", "a list of lower left, upper left, lower right, upper right before 'none'"),
         ("drive..frequency=3", "must have a key such as drive.frequency"),
         ("drive.frequency=30O", 'paper: drive.frequency = "30O": must be a number'),
         ("drive.frequency='300'", 'paper: drive.frequency = "300": must be a number'),

@@ -236,10 +236,13 @@ def _check_index(holder: Any, part: str | int, shown: str) -> None:
     """Raise SceneError unless a part of a key is an index into a list."""
     if isinstance(holder, list) and isinstance(part, int) and part < len(holder):
         return
-    held = (
-        f"a list of {len(holder)}" if isinstance(holder, list) else "no list" if isinstance(part, int) else "no table"
-    )
-    raise SceneError(f"{shown}: the scene has {held} before {f'[{part}]' if held[0] == 'a' else part!r}")
+    held, at = "no list" if isinstance(part, int) else "no table", repr(part)
+    if isinstance(holder, list) and isinstance(part, int):
+        held, at = f"a list of {len(holder)}", f"[{part}]"
+    elif isinstance(holder, list):
+        names = [str(row["name"]) for row in holder if isinstance(row, dict) and "name" in row]
+        held = f"a list of {', '.join(names) or len(holder)}"
+    raise SceneError(f"{shown}: the scene has {held} before {at}")
 
 
 def _excluded(path: list[str | int], last: str | int, holder: Any) -> list[str]:
