@@ -212,6 +212,7 @@ def test_a_tone_in_a_file(driven_scene, phasors, tmp_path):
         ("[drive.burst]\nramp = 0.1", "drive.burst.duration: "),
         ("[drive.signal]\nfile = '../a.wav'", "drive.signal.file: '../a.wav'"),
         (f"{SIGNAL}\nrate = 10", "drive.signal.rate: 'a.wav'"),
+        (f"{SIGNAL}\nstart = 0.1", "drive.signal.start: 0.1 s is after the run"),
         (f"{SIGNAL}\n[drive.chirp]\nend_frequency = 9\nduration = 1", "drive.chirp: "),
         (f"{SIGNAL}\n{OWN_FREQUENCY}", "actuators[4].frequency: drive"),
     ],

@@ -363,8 +363,9 @@ def _check_drive(scene: SceneTables) -> None:
             raise ValueError(f"{key}.frequency: drive.signal replaces the carrier of all actuators; delete one of them")
         if actuator.force is not None and drive.electrostatic is not None:
             raise ValueError(f"{key}.force: {actuator.force:g} N, but drive.electrostatic takes volts; write magnitude")
-    if drive.burst is not None and drive.burst.start >= end:
-        raise ValueError(f"drive.burst.start: {drive.burst.start:g} {after}")
+    for key, table in (("burst", drive.burst), ("signal", drive.signal)):
+        if table is not None and table.start >= end:
+            raise ValueError(f"drive.{key}.start: {table.start:g} {after}")
 
 
 def _check_focus(scene: SceneTables) -> None:
