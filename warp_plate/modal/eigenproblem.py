@@ -175,8 +175,7 @@ def _buckled(scene: Scene) -> SceneError:
     """Return the error for a plate that in-plane forces T buckle: for some μ < 1, K − T + μT is singular; or for one
     whose springs are too stiff for the precision."""
     forces = [term for term in scene.terms if term.factors in IN_PLANE]
-    # The first addend keeps the sign of a zero.
-    x, y = (sum((term.coefficient for term in forces if term.factors == one), start=-0.0) for one in IN_PLANE)
+    x, y = (sum((term.coefficient for term in forces if term.factors == one), 0.0) for one in IN_PLANE)
     rule = "leave out the stiffness of a rigid support, and write edges as clamped or supported"
     stiff = SceneError(f"supports, edges: a spring is too stiff beside the plate; {rule}")
     if min(x, y) >= 0:  # then rounding has made K indefinite
