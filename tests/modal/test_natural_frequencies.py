@@ -243,7 +243,7 @@ def test_buckling(direction):
 
     tension = [-0.999 * critical * share for share in direction]
     assert lowest(scene(0.999), 3) == pytest.approx(np.sort(navier(20, tension=tension).ravel())[:3], rel=1e-5)
-    loads = [f"{axis} = {-critical * share:.4g}" for axis, share in zip("xy", direction, strict=True)]
+    loads = [f"{axis} = {0.0 - critical * share:.4g}" for axis, share in zip("xy", direction, strict=True)]
     with pytest.raises(SceneError, match=rf"^effects\.tension.* {', '.join(loads)} N/m, 0\.999 "):
         solve_modes(scene(1.001))
     with pytest.raises(SceneError, match=r"^effects\.tension.*: the plate buckles"):
