@@ -32,7 +32,7 @@ RANK = 1e-9
 # knots; by a side of a rectangle, whose functions only stretch, of five points, as a part of it. The third is that of
 # supports and ends of parts at ends of ranges, for differences by one side are less exact, and of those that move with
 # an outline.
-OUTLINED, HELD, HELD_SHORT, STRETCHED = 1e-5, 2.8e-3, 7e-4, 2e-3
+OUTLINED, HELD, HELD_SHORT, STRETCHED = 1e-5, 2.8e-3, 7e-4, 1e-3
 # Coordinates of places about which motions are singular. What splines follow of such a motion changes within the
 # distance to the nearest knot: steps are at most this part of it, but at least this part of an interval.
 SINGULAR, OF_DISTANCE, LEAST = ("point", "line", "from_point", "to_point"), 0.02, 2e-5
