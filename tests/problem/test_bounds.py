@@ -125,7 +125,15 @@ def test_units_do_not_matter(random):
     ratios = bound_localization(response, limits).value, bound_localization(other, scaled).value
     energies = bound_energy(response.matrices[TARGET], limits).value, bound_energy(other.matrices[TARGET], scaled).value
     assert ratios[1] == pytest.approx(ratios[0], rel=1e-6)
-    assert energies[1] == pytest.approx(1e-20 * energies[0], rel=1e-6)
+    assert 1e20 * energies[1] == pytest.approx(energies[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("lower", [0.0, 0.4])
+def test_bounds_of_tiny_energies_are_as_tight(random, lower):
+    """½ ∫ ρH u² dA of a gram that moves by picometres is 1e-27 J."""
+    for actuators in (2, 2, 3, 3):
+        matrix, limits = gram(random, actuators).matrices[TARGET], allowed(actuators, lower, 1.2)
+        assert 1e27 * bound_energy(1e-27 * matrix, limits).value == pytest.approx(bound_energy(matrix, limits).value)
 
 
 @pytest.mark.parametrize("largest", [1e2, 1e3, 1e5, 1e9])

@@ -51,14 +51,16 @@ def least_majorant(
         return 0.0, np.zeros_like(objective)
     largest = np.abs(matrices).max(axis=(1, 2))
     norms = np.where(largest > 0, largest, 1.0)
-    dual = _Dual(objective / size, matrices / norms[:, None, None], values / norms, equation)
+    values = values / norms
+    unit = float(np.abs(values).max(initial=0.0)) or 1.0
+    dual = _Dual(objective / size, matrices / norms[:, None, None], values / unit, equation)
     start = dual.inside()
     if start is None:
         return np.inf, np.empty((0, 0))
     multipliers = dual.follow(start)
     value = float(dual.values @ multipliers)
     value += EIGEN_ERROR * float(np.abs(dual.values) @ np.abs(multipliers))
-    return float(size * value), dual.slack(multipliers)
+    return float(size * unit * value), dual.slack(multipliers)
 
 
 @dataclass(frozen=True)
