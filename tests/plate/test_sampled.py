@@ -53,6 +53,16 @@ def test_below_nine_tenths_of_the_slower_rate_a_tone_passes(rate, time_step):
         np.testing.assert_allclose(carrier.imag[inside], wanted.imag[inside], atol=1e-3 + ends)
 
 
+@pytest.mark.parametrize("channels", [1, 2])
+def test_a_lagging_pulse_is_that_between_silence(random, channels):
+    """Its Hilbert transform is the sum over its samples of 2/πn at odd n, also at low frequencies."""
+    values = random.random((channels, 400))
+    lag = np.subtract.outer(np.arange(400), np.arange(400))
+    kernel = np.where(lag % 2, 2 / (np.pi * np.where(lag % 2, lag, 1)), 0.0)
+    np.testing.assert_allclose(Samples(values, 1e3, 0.0, False).analytic(), values + 1j * values @ kernel.T, atol=1e-12)
+    np.testing.assert_array_equal(Samples(values[0], 1e3, 0.0, False).analytic().real, values[0])
+
+
 def test_above_the_steps_nyquist_frequency_a_tone_is_stopped():
     """More than 60 dB down, from just above 5 kHz to the end of the file's band; half the band, half the limit."""
     assert max(level(frequency) for frequency in (5001.0, 5600.0, 8000.0, 10925.0)) < 1e-3

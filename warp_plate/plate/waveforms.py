@@ -102,11 +102,17 @@ class Samples:
     repeat: bool  # Repeat the signal instead of silence after its end
 
     def analytic(self) -> np.ndarray:
-        """Return the complex analytic signal, shaped as the values, padded with silence unless it repeats."""
-        count = self.values.shape[-1]
-        padded = count if self.repeat else scipy.fft.next_fast_len(2 * count)
-        analytic: np.ndarray = scipy.signal.hilbert(self.values, padded)[..., :count]
-        return analytic
+        """Return the complex analytic signal, shaped as the values, with silence around them unless they repeat.
+
+        With silence it is a convolution: a Fourier transform of padded samples would repeat them after the zeros, which
+        changes low frequencies.
+        """
+        if self.repeat:
+            return np.asarray(scipy.signal.hilbert(self.values))
+        lag = np.arange(1 - self.values.shape[-1], self.values.shape[-1])
+        kernel = np.divide(2 / math.pi, lag, out=np.zeros(lag.size), where=lag % 2 == 1)
+        kernel = kernel.reshape((1,) * (self.values.ndim - 1) + (-1,))
+        return self.values + 1j * scipy.signal.fftconvolve(self.values, kernel, "same", axes=-1)
 
     def highest_frequency(self) -> float:
         """Return the frequency [Hz] below which 99 % of the energy lies; the rest may stem from the file's ends."""
