@@ -75,6 +75,13 @@ def test_too_many_threads(threads, write_scene, command, monkeypatch):
     assert "WARP_PLATE_THREADS" in error_of(command("simulate", "panel.toml", *QUICK, "--path", "resident"))
 
 
+@pytest.mark.parametrize("text", ["", "1.5", "now", "9" * 20, str(2**63 - 1), str(10**12)])
+def test_a_time_that_libraries_cannot_use_is_refused(text, command, monkeypatch):
+    """NumPy and Matplotlib read it too, and end in errors of their own."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
+    assert f"SOURCE_DATE_EPOCH = '{text}': must be whole seconds since 1970" in error_of(command("keys"))
+
+
 def test_a_link_is_followed_and_stays(write_scene, command):
     write_scene(damping=88.5)
     Path("elsewhere").mkdir()

@@ -142,6 +142,8 @@ def _run(words: list[str]) -> None:
     from cyclopts import CycloptsError
 
     try:
+        if (epoch := os.environ.get("SOURCE_DATE_EPOCH")) is not None:
+            _check_epoch(epoch)
         if words and words[0] in COMMANDS:
             load(words[0])
             if not {"--help", "-h"}.intersection(words):
@@ -162,6 +164,16 @@ def _run(words: list[str]) -> None:
         if isinstance(ended.__context__, BrokenPipeError):  # while rich printed the help, which it ends with status 1
             raise ended.__context__ from None
         raise
+
+
+def _check_epoch(text: str) -> None:
+    """Raise a SceneError unless a time is one that NumPy and Matplotlib, which read it too, can use."""
+    from datetime import UTC, datetime
+
+    try:
+        datetime.fromtimestamp(int(text), UTC)
+    except (ValueError, OverflowError, OSError):
+        raise SceneError(f"SOURCE_DATE_EPOCH = {text[:40]!r}: must be whole seconds since 1970, or not set") from None
 
 
 def _prepare_streams() -> None:
