@@ -153,10 +153,13 @@ def numbered_lines(data: bytes) -> tuple[list[tuple[int, str]], str | None]:
 
 
 def split(line: str, separator: str | None) -> list[str]:
-    """Return the cells of a line, without quotes; None separates by spaces."""
+    """Return the cells of a line, without quotes; None separates by spaces. ValueError: a cell is too long."""
     if separator is None:
         return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    except csv.Error:
+        raise ValueError(f"a cell has more than {csv.field_size_limit()} characters") from None
 
 
 def decimal(cell: str) -> str:
