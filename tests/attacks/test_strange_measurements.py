@@ -134,6 +134,13 @@ def test_samples_that_a_wav_file_states_but_does_not_hold():
         assert wav_channels(bytes(each))[0].shape == (2, 8)
 
 
+def test_no_samples_a_second_are_refused():
+    content = io.BytesIO()
+    scipy.io.wavfile.write(content, 0, np.ones(8, np.int16))
+    with pytest.raises(ValueError, match="states 0 samples a second"):
+        wav_channels(content.getvalue())
+
+
 def test_too_many_samples_of_a_wav_file_are_refused_before_they_are_converted(monkeypatch):
     monkeypatch.setattr("warp_plate.plate.waveforms.MOST_SAMPLES", 15)
     content = io.BytesIO()

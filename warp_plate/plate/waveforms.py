@@ -229,6 +229,8 @@ def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
         raise ValueError(f"a WAV file without samples, or damaged: {reason}") from None
     if samples.size > MOST_SAMPLES:
         raise ValueError(f"{samples.size} samples; at most {MOST_SAMPLES} are read")
+    if rate == 0:
+        raise ValueError("states 0 samples a second")
     values = np.atleast_2d(samples.T).astype(float)
     if samples.dtype.kind != "f":
         values = (values - 128 * (samples.dtype == np.uint8)) / 2.0 ** (8 * samples.dtype.itemsize - 1)
