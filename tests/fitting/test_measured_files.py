@@ -43,8 +43,8 @@ def test_mat_files(turned, responses, tmp_path):
     np.testing.assert_array_equal(found.coherence, coherence)
 
 
-@pytest.mark.parametrize("value", [1.5, np.inf, 1e300])
-def test_a_coherence_beyond_one_is_refused(value, responses, tmp_path):
+@pytest.mark.parametrize("value", [1.5, -0.5, np.inf, 1e300])
+def test_a_coherence_beyond_its_range_is_refused(value, responses, tmp_path):
     frequencies, values, coherence = responses
     coherence[1, 2] = value
     scipy.io.savemat(tmp_path / "data.mat", {"frequency": frequencies, "response": values, "coherence": coherence})
@@ -197,6 +197,7 @@ def test_shapes_in_text(tmp_path):
         ("a.csv", b"0,0,0\n1,1,1\n", "1 frequencies; 2 to 4000 can be fitted"),
         ("a.csv", b"1,1,1\n2,0,0\n", "response 1 at 2 Hz is 0+0j; must be a complex number other than 0"),
         ("a.csv", b"1,1,1\n2,1e300,0\n", "response 1 at 2 Hz is 1e+300+0j; must be a complex number other than 0"),
+        ("a.csv", b"1,1,1\n2,1," + b'"1"' + b"1" * 2**17, "a cell has more than 131072 characters"),
         ("a.csv", b"1,1,x\n", "not a table of numbers with decimal points"),
         ("a.uff", b"nothing", "a.uff: "),
     ],

@@ -140,7 +140,7 @@ def _read(
                 clipped = [f"channel {number}" for number, row in enumerate(values, 1) if is_clipped(row)]
         else:
             columns, coherence, units = read_response_table(path.read_bytes())
-        if coherence is not None and not np.all(np.isnan(coherence) | (np.abs(coherence) <= MOST_COHERENCE)):
+        if coherence is not None and (np.abs(coherence - 0.5) > MOST_COHERENCE - 0.5).any():
             raise ValueError("coherence must be from 0 to 1")
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
