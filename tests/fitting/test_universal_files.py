@@ -273,3 +273,9 @@ def test_modes(content, damping, kind, tmp_path):
     np.testing.assert_allclose(found.damping, [damping], rtol=1e-4)
     np.testing.assert_allclose(found.shapes, [list(SHAPE.values())], rtol=1e-5)
     np.testing.assert_allclose(found.points, list(NODES.values()), rtol=1e-5)
+
+
+def test_shapes_that_are_not_finite_are_refused_without_warnings(tmp_path):
+    mode = normal_mode(80.0, SHAPE).replace(f"{0:13.5e}" * 2 + f"{0.5:13.5e}", f"{np.inf:13.5e}{0:13.5e}{0.5:13.5e}")
+    path = written(tmp_path, nodes() + mode, "a.unv")
+    assert "shape in a mode (dataset 55): must be a number of at most" in refused(read_modes, path)

@@ -394,6 +394,17 @@ def test_kinds_of_responses_of_universal_files(stated, words, tmp_path, random):
             read_matrix(scene)
 
 
+def test_infinite_responses_of_universal_files_are_refused_without_warnings(tmp_path, random):
+    pyuff = pytest.importorskip("pyuff")
+    places, responses, file = random.random((6, 2)), np.ones((2, 6, 2), complex), tmp_path / "a.uff"
+    responses[0, 1, 1] = np.inf
+    pyuff.UFF(str(file)).write_sets(universal_sets(places, np.array([20.0, 30.0]), responses))
+    file.write_text(file.read_text().replace("1.79769313486e+308", f"{np.inf:18e}"))  # which pyuff writes in its place
+    scene = MeasuredScene(measured={"file": "a.uff"}, target={"area": (0.0, 1.0, 0.0, 1.0)}).in_folder(tmp_path)
+    with pytest.raises(SceneError, match="point 2, 20 Hz is inf"):
+        read_matrix(scene)
+
+
 @pytest.mark.parametrize(("name", "what"), [("scan.h5", "numbers"), ("scan.mat", "numbers"), ("scan.uff", "bytes")])
 def test_scans_beyond_the_memory_are_refused_before_they_are_read(name, what, tmp_path, random, monkeypatch):
     _, path = bench(tmp_path, random)

@@ -69,6 +69,7 @@ class MeasuredMatrix:
     noise: np.ndarray | None = None  # (n, points, actuators) what noise adds to |H|² on average; None if not known
 
 
+@np.errstate(all="ignore")  # of numbers that are refused in the end
 def read_matrix(scene: MeasuredScene) -> MeasuredMatrix:
     """Return the responses of a scene's file.
 
