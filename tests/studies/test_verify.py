@@ -84,6 +84,16 @@ def test_intervals_hold_factors_alone(part, lossy_run):
     assert 0 <= low <= part <= high + 0.1 <= 1.1
 
 
+def test_intervals_of_a_single_point_that_moves_are_not_reversed(lossy_run):
+    """Splines overshoot beside it, so that the factor itself is below 0."""
+    field = field_of(lossy_run, 5)
+    velocity = np.zeros(25)
+    velocity[13] = 1.0
+    found = verify(lossy_run, replace(field, velocity=velocity, uncertainty=0 * velocity))
+    assert found.localization_factor < 0
+    assert replace(found, sampling=0.0).interval == (0, 0)
+
+
 @pytest.mark.parametrize("name", ["mirrored in x", "mirrored in y", "turned"])
 def test_mirrored_scans_are_named(name, lossy_run, random):
     """The field has no symmetry; 2 % noise and missing points do not matter."""
@@ -120,6 +130,16 @@ def test_readings_are_averaged(random):
     assert found.uncertainty == pytest.approx(np.full(4, 1 / np.sqrt(50)), rel=0.4)
 
 
+def test_readings_of_one_point_that_is_rounded_are_averaged(lossy_run):
+    """So that small differences between places are no steep slopes of the field."""
+    field = field_of(lossy_run)
+    points = np.concatenate([field.points, field.points[:20] + 1e-10])
+    velocity = np.concatenate([field.velocity, 0.8 * field.velocity[:20]])
+    found = verify(lossy_run, MeasuredField("", points, velocity, None))
+    assert len(found.promised) == len(field.points)
+    assert found.localization_factor == pytest.approx(verify(lossy_run, field).localization_factor, abs=0.05)
+
+
 def test_command(command, lossy_run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save_result(lossy_run, "panel.h5")
@@ -130,9 +150,9 @@ def test_command(command, lossy_run, tmp_path, monkeypatch):
     assert record["kept"]
     assert record["localization_factor"] == pytest.approx(verify(lossy_run, field).localization_factor, rel=1e-9)
     assert "The noise is not known" in output_of(command("verify", "panel.h5", "--data", "data.csv"))
-    assert "case = 'x': must be one of drive" in error_of(
-        command("verify", "panel.h5", "--data", "data.csv", "--case", "x")
-    )
+    for case in ("x", ""):
+        err = error_of(command("verify", "panel.h5", "--data", "data.csv", "--case", case))
+        assert f"case = '{case}': must be one of drive" in err
 
 
 NOISE = "".join(f"{x},{y},1,2\n" for x in (0.02, 0.1, 0.18) for y in (0.02, 0.1, 0.15))
@@ -143,6 +163,8 @@ NOISE = "".join(f"{x},{y},1,2\n" for x in (0.02, 0.1, 0.18) for y in (0.02, 0.1,
     [
         ("x,y\n1,2\n", "has no column 'velocity'; the columns are: x, y"),
         ("x,y,velocity\n0.1,0.1,no\n", "line 2, velocity = 'no': must be a number, 0 or more"),
+        ("x,y,velocity\n0.1,0.1,1_0\n", "line 2, velocity = '1_0': must be a number, 0 or more"),
+        ("x,y,velocity\n0.1,0.1,٣\n", "line 2, velocity = '٣': must be a number, 0 or more"),
         ("x,y,velocity\n0.1,0.1,1e308\n", "line 2, velocity = '1e308': must be a number, 0 or more and below 1e+30"),
         ("x,y,velocity\n0.1,0.1,1e-308\n", "needs velocities that are not all 0"),
         (f"x,y,velocity,uncertainty\n{NOISE}", "velocities are not above their uncertainty; measure with less noise"),
@@ -150,6 +172,7 @@ NOISE = "".join(f"{x},{y},1,2\n" for x in (0.02, 0.1, 0.18) for y in (0.02, 0.1,
         ("x,y,velocity\n0.1,0.1,1\n", "1 points; 4 to 2000 are possible"),
         ("x,y,velocity\n0.1,0.1,1\n0.11,0.1,1\n0.12,0.1,1\n9,0.1,1\n", "a point is off the plate"),
         ("x,y,velocity\n0.1,0.1,1\n0.11,0.1,1\n0.12,0.1,1\n0.13,0.1,1\n", "all points lie on one line"),
+        ("x,y,velocity\n0.01,0.013,1\n0.02,0.026,1\n0.03,0.039,2\n0.07,0.091,1\n", "all points lie on one line"),
     ],
 )
 def test_bad_files(text, message, lossy_run, tmp_path):

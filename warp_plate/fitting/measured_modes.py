@@ -55,6 +55,7 @@ class MeasuredModes:
     damping_bars: np.ndarray | None = None  # (n,) errors that damping ratios hardly exceed; None if not known
 
 
+@np.errstate(all="ignore")  # of numbers that are refused in the end
 def read_modes(path: Path, fit: Fit | None = None) -> MeasuredModes:
     """Read modes from a CSV file with a header that names the columns ``frequency``, ``damping`` and ``mode``.
 
@@ -164,7 +165,8 @@ def column_numbers(path: Path, name: str, column: Column) -> np.ndarray:
     for line, cell in column.cells:
         missing = name in OPTIONAL and (not cell or cell.lower() == "nan")
         try:
-            value = math.nan if missing else float(cell) * factor
+            plain = "_" not in cell and cell.isascii()  # float() takes more
+            value = math.nan if missing else float(cell) * factor if plain else high
         except ValueError:
             value = high
         if value == 0 and name in DAMPING:

@@ -27,6 +27,9 @@ from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.fields import SMALLEST
 
 MOST_POINTS = 2000
+# Readings nearer than this part of the largest coordinate are of one point; points with less of their extent across a
+# line are on it.
+NEAR, FLAT = 1e-6, 1e-4
 NORMAL = 1.96  # half-width of 95 % intervals in standard deviations
 COLUMNS = "x", "y", "velocity", "uncertainty"
 UNLIKE = 0.02  # what the cosine of velocities lacks of 1, from which on mirrored points are looked for
@@ -66,7 +69,8 @@ class Verification:
     def interval(self) -> tuple[float, float]:
         """Lowest and highest localization factor: 95 % for the noise, and twice the error of sampling."""
         width = NORMAL * float(np.nan_to_num(self.deviation)) + 2 * abs(self.sampling)
-        return max(self.localization_factor - width, 0.0), min(self.localization_factor + width, 1.0)
+        low, high = np.clip([self.localization_factor - width, self.localization_factor + width], 0.0, 1.0).tolist()
+        return low, high
 
     @property
     def kept(self) -> bool:
@@ -98,7 +102,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     """
     check_type("result", result, Result)
     check_type("data", data, Path, MeasuredField)
-    ((name, chosen),) = result.select_cases([case or result.main_name]).items()
+    ((name, chosen),) = result.select_cases([result.main_name if case is None else case]).items()
     scene = result.case_scene(chosen)
     measured = average_readings(read_field(data) if isinstance(data, Path) else data)
     (motion,) = motions(result.scene, {name: chosen})
@@ -168,8 +172,9 @@ def average_readings(field: MeasuredField) -> MeasuredField:
     seen = np.isfinite(field.velocity) & (field.uncertainty is None or np.isfinite(field.uncertainty))
     uncertainty = None if field.uncertainty is None else field.uncertainty[seen]
     field = replace(field, points=field.points[seen], velocity=field.velocity[seen], uncertainty=uncertainty)
-    points, which, counts = np.unique(field.points, axis=0, return_inverse=True, return_counts=True)
-    which = which.ravel()
+    places = np.rint(field.points / (NEAR * (np.abs(field.points).max(initial=0.0) or 1.0)))
+    _, first, which, counts = np.unique(places, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    points, which = field.points[first], which.ravel()
     if not 4 <= len(points) <= MOST_POINTS:
         raise SceneError(f"{field.source}: {len(points)} points; 4 to {MOST_POINTS} are possible")
     mean = np.bincount(which, field.velocity) / counts
@@ -185,11 +190,11 @@ def _quadrature(measured: MeasuredField, axes: tuple[np.ndarray, np.ndarray], we
     """Return (2, n) weights of the squares at the points in the energies of the plate and of the target."""
     x, y = np.meshgrid(*axes)
     nodes, identity = np.stack([x.ravel(), y.ravel()], axis=1), np.eye(len(measured.points))
-    try:
-        spline = scipy.interpolate.RBFInterpolator(measured.points, identity, kernel="thin_plate_spline")
-        total = np.zeros((2, len(identity)))
-        for part in np.array_split(np.arange(len(nodes)), -(-nodes.shape[0] * len(identity) // 2**22)):
-            total += weights.reshape(2, -1)[:, part] @ spline(nodes[part])
-    except np.linalg.LinAlgError:
-        raise SceneError(f"{measured.source}: all points lie on one line; measure over the panel") from None
+    along, across = np.linalg.svd(measured.points - measured.points.mean(axis=0), compute_uv=False)
+    if across < FLAT * along:
+        raise SceneError(f"{measured.source}: all points lie on one line; measure over the panel")
+    spline = scipy.interpolate.RBFInterpolator(measured.points, identity, kernel="thin_plate_spline")
+    total = np.zeros((2, len(identity)))
+    for part in np.array_split(np.arange(len(nodes)), -(-nodes.shape[0] * len(identity) // 2**22)):
+        total += weights.reshape(2, -1)[:, part] @ spline(nodes[part])
     return total
