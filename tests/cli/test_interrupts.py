@@ -108,6 +108,15 @@ def test_a_second_ctrl_c_ends_a_search_at_once(tmp_path):
     assert (done, load_checkpoint(file.path).iterations) == ([1, 2, 3], 3)
 
 
+@pytest.mark.parametrize("every", ["0", "30"])
+def test_a_search_that_ends_keeps_its_last_checkpoint(every, command, write_scene, monkeypatch):
+    write_scene(scene_of((9, 9), search={"particles": 4, "iterations": 2}))
+    monkeypatch.setattr("warp_plate.studies.localize.evaluate_targets", Mock(side_effect=KeyboardInterrupt))
+    status, _, err = command("localize", "panel.toml", *QUICK, "--checkpoint-every", every)
+    assert (status, "--resume" in err, len(err.splitlines())) == (130, every == "0", 1)
+    assert [file.name for file in Path().glob("*.h5")] == ["panel-localize.checkpoint.h5"] * (every == "0")
+
+
 def test_an_estimate_is_left_out_on_interrupts(endless, command, monkeypatch):
     monkeypatch.setattr("warp_plate.studies.simulate.estimate", Mock(side_effect=KeyboardInterrupt))
     output_of(command("simulate", "panel.toml", "--device", "cpu", "--path", "resident", "--no-pictures"))
