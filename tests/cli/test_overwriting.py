@@ -5,11 +5,13 @@ import shutil
 import stat
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from support.commands import error_of, output_of
 from warp_plate import SceneError, load_result, save_result, simulate
+from warp_plate.cli import output
 
 FAST = ("--device", "cpu", "--no-pictures")
 
@@ -79,3 +81,11 @@ def test_files_of_other_programs_stay(command, tmp_path):
     file = tmp_path / "a.json"
     file.write_text(json.dumps({"limits": 1}, indent=1))
     assert "--force" in error_of(command("accuracy", "paper", "--out", file))
+
+
+def test_files_written_before_one_that_cannot_be_are_named():
+    full = Mock(side_effect=SceneError("b: cannot be written"))
+    with pytest.raises(SceneError, match=r"^b: cannot be written; wrote a$"):
+        output.write_files({Path("a"): str, Path("b"): full}, None)
+    with pytest.raises(SceneError, match=r"^b: cannot be written$"):
+        output.write_files({Path("b"): full}, None)

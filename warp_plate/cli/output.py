@@ -313,6 +313,8 @@ def write_files(saves: Mapping[Path, Callable[[Path], object]], draw: Callable[[
         if not files or len(files) < len(saves):
             raise
         drawn, missing = [], INTERRUPTED
+    except SceneError as error:
+        raise SceneError("; wrote ".join(map(str, [error, *files]))) from None
     return files + drawn, missing
 
 
