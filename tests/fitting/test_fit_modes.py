@@ -46,6 +46,7 @@ def test_rigidity(random):
     found = fit_modes(panel, measured(random))
     assert found.scene.plate.rigidity == pytest.approx(RIGIDITY, rel=5e-3)
     assert found.values == pytest.approx([found.scene.plate.young_modulus], rel=1e-12)
+    assert repr(found) == f"<ModeFit plate.young_modulus = {found.values[0]:.5g}>"
     # 2.2 · 2 · 0.1 % / √12 to either side, and what χ² of 11 numbers leaves open.
     assert 0.3 * 1.27e-3 < (found.high - found.low)[0] / 2 / MODULUS < 2 * 1.27e-3
     exact = fit_modes(panel, measured(random, noise=0))

@@ -122,6 +122,8 @@ def test_equal_magnitudes_and_the_best_frequency():
     sampled = max(panel.factor(drive, line) for drive in drives)
     assert sampled <= equal.localized.bound
     assert panel.factor(equal.localized.drive, line) > 0.97 * sampled
+    assert repr(equal).startswith(f"<MeasuredDrives {equal.frequency:g} Hz, localization factor 0.")
+    assert len(repr(equal)) < 100
 
 
 def test_levels_hold_and_no_drive_takes_less_effort(random):
@@ -441,6 +443,7 @@ def test_blends_beyond_the_memory_are_refused(tmp_path, random, monkeypatch):
         ("frequency = 1e5", "measured.frequency = 100000.0: no response is there"),
         ("frequency = [1e5, 2e5]", "measured.frequency = [100000.0, 200000.0]: no response is there"),
         ("noise = 0.01\naverages = 4", "delete one of them"),
+        ("noise = 0.01\nfitted = 'none.toml'", "measured.fitted = 'none.toml': none.toml: no such preset or file"),
         ("averages = 1", "measured.averages"),
         ("panel = [0.1, 0.2, 0.0, 1.0]", "measured.panel = [0.1, 0.2, 0.0, 1.0]: point 1"),
         ("[trade_off]\nlike = 'Bob'", "trade_off.like = 'Bob': must be one of actuator 1"),

@@ -71,7 +71,7 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
     return fit_modes(loaded, read_modes(paths[0], loaded.fit))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ModeFit(FittedPanel):
     """A scene fitted to measured modes."""
 
@@ -267,7 +267,7 @@ def _paired_modes(scene: Scene, measured: MeasuredModes, pairing: str) -> np.nda
     return np.stack([numbers, frequencies[numbers - 1], plate.damping_ratios[elastic][numbers - 1]])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ResponseFit(FittedPanel):
     """A scene fitted to measured frequency responses."""
 

@@ -106,7 +106,7 @@ def free_numbers(scene: Scene) -> FreeNumbers:
     return FreeNumbers(scene, keys, low, high)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedPanel:
     """A scene with fitted numbers."""
 
@@ -125,6 +125,10 @@ class FittedPanel:
     remarks: tuple[str, ...]  # what was converted in the measurements or left out
     verdict: Verdict  # whether the model describes the measurements; if not, there are no intervals
     undetermined: tuple[str, ...]  # keys whose interval would be wider than their range, and which have none
+
+    def __repr__(self) -> str:
+        values = (f"{key} = {value:.5g}" for key, value in zip(self.keys, self.values, strict=True))
+        return f"<{type(self).__name__} {', '.join(values)}>"
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -318,8 +318,11 @@ def blend(matrix: MeasuredMatrix, scene: MeasuredScene) -> MeasuredMatrix:
     fit them."""
     name, sigma2 = scene.measured.fitted, matrix.noise
     assert name is not None
-    fitted = Scene.load((scene.folder or Path()) / name)
     head = f"measured.fitted = {name!r}"
+    try:
+        fitted = Scene.load((scene.folder or Path()) / name)
+    except SceneError as error:
+        raise SceneError(f"{head}: {error}") from None
     if matrix.variance is None or sigma2 is None:
         raise SceneError(f"{head}: its part follows from the noise; write measured.noise or averages")
     if len(fitted.actuators) != len(matrix.names):

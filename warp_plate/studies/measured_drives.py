@@ -49,6 +49,10 @@ class MeasuredDrives:
     levels: MeasuredLevels | None  # None without a specification
     focus: MeasuredFocus | None  # None without [focus]
 
+    def __repr__(self) -> str:
+        factor, (low, high) = self.localized.factor, self.localized.interval
+        return f"<MeasuredDrives {self.frequency:g} Hz, localization factor {factor:.4g}, {low:.4g} to {high:.4g}>"
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the actuators."""
