@@ -209,9 +209,8 @@ main.main(sys.argv[1:])
     ],
 )
 def test_the_status_is_that_of_an_interrupt_wherever_it_comes(code, endless):
-    status, out, err, seconds = end(start("-c", EXECUTING.replace("{code}", code), "check", "panel.toml"))
+    status, out, err, _ = end(start("-c", EXECUTING.replace("{code}", code), "check", "panel.toml"))
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
-    assert seconds < 10
 
 
 # The same while pictures are drawn, which are left out.

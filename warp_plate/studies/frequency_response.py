@@ -114,21 +114,21 @@ def frf(
         lost = 2 * widths / natural
     terminals = inputs if quantity == IMPEDANCE else ()
 
-    count, moving = len(inputs) * len(points), quantity not in SOUND
+    count, moving = len(inputs) * len(points), quantity not in (*SOUND, IMPEDANCE)
     places_observed = _with_places_beside(plate, points) if moving else points
     what = f"points: {count} responses at {frequencies.size} frequencies"
     refuse_beyond_memory(RESPONSE_BYTES * len(inputs) * len(places_observed) * frequencies.size, what)
 
     def observer(plate: ModalPlate, highest: float) -> Observer:
-        if moving:
-            return _motion(plate, places_observed)
-        return observe_sound(plate, highest, quantity, points, baffle)
+        if quantity in SOUND:
+            return observe_sound(plate, highest, quantity, points, baffle)
+        return _motion(plate, places_observed)
 
     responses, factor, bound, velocity = curves = _responses(
         plate, frequencies, forces, observer(plate, high), terminals
     )
     shifts, of_responses, *of_others = _errors(plate, frequencies, inputs, observer, curves, terminals)
-    if moving and len(points):
+    if moving:
         beside = (count, len(BESIDE), frequencies.size)
         responses, of_responses = responses.reshape(beside)[:, 0], of_responses.reshape(beside).max(axis=1)
     derivative = (2j * np.pi * frequencies) ** DERIVATIVES.get(quantity, 0)
