@@ -25,7 +25,7 @@ class ExpectedModes:
 
     functions: float  # functions that solve_modes takes
     modes: float  # modes that it returns
-    seconds: float  # time of a core for them and for the responses of all actuators, within a factor of three
+    seconds: float  # time of a core for them and for the responses of all actuators, within a factor of four
 
 
 def expected_modes(scene: Scene, highest: float, density: float = 1.0) -> ExpectedModes:

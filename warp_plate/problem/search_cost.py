@@ -51,7 +51,7 @@ class Cost:
     candidates: int  # largest number of designs that are evaluated
     plates: int  # largest number of plates that are run in time steps; 0 by modes
     node_steps: float  # node-steps of these plates
-    seconds: float | None  # about the time of a core, within a factor of three; None on GPUs, and by modes in air
+    seconds: float | None  # about the time of a core, within a factor of four; None on GPUs, and by modes in air
     memory: Mapping[str, float]  # largest memory besides PROGRAM [bytes], by the key that determines it
 
 
