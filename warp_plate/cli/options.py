@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ import cyclopts
 from cyclopts import Parameter, validators
 
 from warp_plate.cli import collect_garbage, output
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, plain_number
 
 if TYPE_CHECKING:
     from warp_plate.cluster.pool import WorkerPool
@@ -127,8 +126,7 @@ class SceneOptions(SceneChanges):
             return scene
         text = self.accuracy.strip()
         try:
-            number = math.nan if "_" in text or not text.isascii() else float(text.removesuffix("%"))
-            return scene.with_accuracy(number / (100 if text.endswith("%") else 1))
+            return scene.with_accuracy(plain_number(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
         except ValueError:
             raise SceneError(f"--accuracy {self.accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_plate.fitting.measured_tables import FREQUENCY_UNITS, LENGTHS, RATIO_UNITS, Column, read_columns
 from warp_plate.fitting.measured_universal import UNIVERSAL, read_universal, universal_modes
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, plain_number
 from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.fit import Fit
 
@@ -165,8 +165,7 @@ def column_numbers(path: Path, name: str, column: Column) -> np.ndarray:
     for line, cell in column.cells:
         missing = name in OPTIONAL and (not cell or cell.lower() == "nan")
         try:
-            plain = "_" not in cell and cell.isascii()  # float() takes more
-            value = math.nan if missing else float(cell) * factor if plain else high
+            value = math.nan if missing else plain_number(cell) * factor
         except ValueError:
             value = high
         if value == 0 and name in DAMPING:

@@ -65,6 +65,14 @@ def numbers_of(key: str, value: object, count: int, what: str) -> list[float]:
     return numbers
 
 
+def plain_number(text: str) -> float:
+    """Return the number that a text holds; ValueError: it is none, or has underscores or digits other than 0 to 9,
+    which float() takes."""
+    if "_" in text or not text.isascii():
+        raise ValueError(text)
+    return float(text)
+
+
 def printable(text: str) -> str:
     """Return the text with control characters escaped as in a Python literal (``\\x1b``); line ends stay."""
     return "".join(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import SceneError, plain_number, printable
 from warp_plate.scene.keys import resolved_key, scalar_keys
 from warp_plate.scene.model import Scene
 
@@ -231,7 +231,7 @@ def _nearest_integers(values: np.ndarray) -> np.ndarray:
 
 def _parse_number(text: str, key: str, integer: bool) -> float:
     try:
-        value = math.nan if "_" in text or not text.isascii() else float(text)
+        value = plain_number(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
