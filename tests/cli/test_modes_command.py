@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from support.commands import error_of, output_of
+from support.commands import output_of
 from support.grid_modes import natural_modes
 from warp_plate.modal.continuous_modes import continuous_modes, modes
 from warp_plate.modal.modes import solve_modes
@@ -83,8 +83,8 @@ def test_a_picture_that_out_names_and_no_disk_has_room_for(line, command, write_
     pytest.importorskip("matplotlib")
     write_scene(nodes=(9, 9))
     monkeypatch.setattr(os, "replace", Mock(side_effect=OSError(28, "No space left on device")))
-    written = error_of(command(*line.split(), "--out", "m.png"))
-    assert written == "warp-plate: --out m.png: cannot be written: No space left on device\n"
+    status, _, written = command(*line.split(), "--out", "m.png")
+    assert (status, written) == (2, "warp-plate: --out m.png: cannot be written: No space left on device\n")
     assert not Path("m.png").exists()
 
 

@@ -1,6 +1,7 @@
 """Files of other commands and programs are replaced only by ``--force``, and named where they are read."""
 
 import json
+import os
 import shutil
 import stat
 import sys
@@ -81,6 +82,35 @@ def test_files_of_other_programs_stay(command, tmp_path):
     file = tmp_path / "a.json"
     file.write_text(json.dumps({"limits": 1}, indent=1))
     assert "--force" in error_of(command("accuracy", "paper", "--out", file))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "localize panel.toml --no-estimate",
+        pytest.param("simulate panel.toml --no-estimate", marks=pytest.mark.slow),
+        pytest.param("sweep panel.toml --what check --vary drive.frequency=290,300", marks=pytest.mark.slow),
+        pytest.param("modes panel.toml --out a.svg", marks=pytest.mark.slow),
+        pytest.param("frf panel.toml --out a.csv", marks=pytest.mark.slow),
+        pytest.param("sound panel.toml --out a.csv", marks=pytest.mark.slow),
+        pytest.param("focus panel.toml", marks=pytest.mark.slow),
+        pytest.param("fit panel.toml --data modes.csv", marks=pytest.mark.slow),
+    ],
+)
+def test_answers_that_no_disk_has_room_for_are_printed(line, command, write_scene, monkeypatch):
+    free = {"fit": {"free": {"plate.young_modulus": (9e8, 1.1e9)}, "starts": 1}}
+    pulse = {"points": [(0.06, 0.05)], "highest": 200.0, "time": 0.01, "rate": 2000}
+    write_scene(nodes=(9, 9), damping=88.5, search={"particles": 3, "iterations": 2}, focus=pulse, **free)
+    Path("modes.csv").write_text("frequency\n38\n77\n78\n115\n", encoding="utf-8")
+    words = (*line.split(), "--json", *(() if "--out" in line else ("--no-pictures",)))
+    with monkeypatch.context() as full:
+        full.setattr(os, "replace", Mock(side_effect=OSError(28, "No space left on device")))
+        status, out, error = command(*words)
+    assert status == 2
+    assert "cannot be written: No space left on device" in error.splitlines()[-1]
+    expected = json.loads(output_of(command(*words)))
+    assert expected.pop("files")
+    assert {**json.loads(out), "seconds": None} == {**expected, "seconds": None}
 
 
 def test_files_written_before_one_that_cannot_be_are_named():

@@ -62,9 +62,9 @@ def accuracy(
     record = {**report.as_json(), "machine": machine, "versions": describe_versions()}
     from warp_plate.viz.plots.search import draw_accuracy
 
-    written = output.write_measurements(target, record, draw_accuracy, files.pictures)
+    write = partial(output.write_measurements, target, record, draw_accuracy, files.pictures)
     show_report = partial(_print_accuracy, report, machine["devices"][name])
-    output.report(files.json, lambda: record, show_report, written=written)
+    output.report(files.json, lambda: record, show_report, write=write)
 
 
 def _print_accuracy(report: AccuracyReport, device: str, console: Console) -> None:

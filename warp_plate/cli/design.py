@@ -98,10 +98,14 @@ def design(
         from warp_plate.viz.plots.cutter import save_drawing
 
         saves[beside[DRAWING]] = partial(save_drawing, panel)
-    written = output.write_files(saves, partial(_draw, panel, target) if files.pictures else None)
-    if not panel.interrupted:
-        beside[UNFINISHED].unlink(missing_ok=True)
-    output.report(files.json, _as_json, _print, scene, panel, written=written)
+
+    def write() -> output.Drawn:
+        written = output.write_files(saves, partial(_draw, panel, target) if files.pictures else None)
+        if not panel.interrupted:
+            beside[UNFINISHED].unlink(missing_ok=True)
+        return written
+
+    output.report(files.json, _as_json, _print, scene, panel, write=write)
     if panel.interrupted:
         raise KeyboardInterrupt(continues())
 

@@ -92,7 +92,7 @@ def export(
     with output.scene_errors(result, **FRAME_ARGUMENTS), output.progress_bar("simulating", shown=not json) as show:
         exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
     answer = {"result": result, "to": to, **exported.contents}
-    output.report(json, lambda: answer, lambda _: _print(to, exported.contents), written=(exported.files, None))
+    output.report(json, lambda: answer, lambda _: _print(to, exported.contents), write=lambda: (exported.files, None))
 
 
 def _print(to: Format, record: Mapping[str, Any]) -> None:

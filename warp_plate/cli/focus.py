@@ -56,8 +56,8 @@ def focus(
     with output.scene_errors(scene):
         result = compute(loaded, played)
     draw = partial(save_plots, partial(draw_focus, result, colours=chosen), target, [".png"])
-    written = output.write_files({target: partial(save_focus, result)}, draw if files.pictures else None)
-    output.report(files.json, _as_json, _print, scene, result, written=written)
+    write = partial(output.write_files, {target: partial(save_focus, result)}, draw if files.pictures else None)
+    output.report(files.json, _as_json, _print, scene, result, write=write)
 
 
 def _as_json(name: str, result: FocusResult) -> dict[str, object]:

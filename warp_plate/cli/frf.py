@@ -98,8 +98,12 @@ def frf(
     ]
     with output.scene_errors(scene, inputs="from", points="at", frequency_range="range", quantity="quantity"):
         response = compute(loaded, sources, points, limits, responses.quantity, baffle=not responses.unbaffled)
-    drawn = write_and_draw(response, target, formats, WRITERS, draw_frequency_response if files.pictures else None)
-    output.report(files.json, _as_json, _print, scene, loaded, response, written=files.check_drawn(target, drawn))
+    draw = draw_frequency_response if files.pictures else None
+
+    def write() -> output.Drawn:
+        return files.check_drawn(target, write_and_draw(response, target, formats, WRITERS, draw))
+
+    output.report(files.json, _as_json, _print, scene, loaded, response, write=write)
 
 
 def _point(text: str, names: str = "X,Y", example: str = "0.05,0.1") -> Any:
@@ -269,8 +273,12 @@ def sound(
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene, points="at", frequency_range="range"):
         result = compute(loaded, points, limits, baffle=not sounds.unbaffled)
-    drawn = write_and_draw(result, target, formats, WRITERS, draw_sound if files.pictures else None)
-    output.report(files.json, _sound_as_json, _print_sound, scene, result, written=files.check_drawn(target, drawn))
+    draw = draw_sound if files.pictures else None
+
+    def write() -> output.Drawn:
+        return files.check_drawn(target, write_and_draw(result, target, formats, WRITERS, draw))
+
+    output.report(files.json, _sound_as_json, _print_sound, scene, result, write=write)
 
 
 def _sound_as_json(name: str, result: Sound) -> dict[str, object]:

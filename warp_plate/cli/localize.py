@@ -157,10 +157,9 @@ def localize(
             result = warp_plate.localize(
                 loaded, source=scene or "", device="auto" if local is None else local, **common
             )
-    written = _write(result, target, files.pictures, file, chosen)
+    write = partial(_write, result, target, files.pictures, file, chosen)
     left = file.path if result.interrupted and file.saved else None
-    elapsed = None if resume is not None else main.elapsed()
-    output.report(files.json, partial(_as_json, left), partial(_print, elapsed), result, written=written)
+    output.report(files.json, partial(_as_json, left), partial(_print, resume is None), result, write=write)
 
 
 def _load_checkpoint(
@@ -226,7 +225,7 @@ def _as_json(checkpoint: Path | None, result: warp_plate.Result) -> dict[str, ob
     }
 
 
-def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -> None:
+def _print(timed: bool, result: warp_plate.Result, console: Console) -> None:
     from warp_plate.cli import tables
     from warp_plate.result.case import target_cases
     from warp_plate.scene.vary import counted
@@ -249,7 +248,7 @@ def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -
     in_all = {"direct": ", in all ", "response": " on Gram matrices, in all ", "modal": ", "}
     unit, way = "plate" if result.evaluator == "direct" else "drive", in_all[result.evaluator]
     searched = f"{counted(result.evaluations, unit)} in the search{way}"
-    tables.print_cost(result, console, searched, elapsed)
+    tables.print_cost(result, console, searched, main.elapsed() if timed else None)
 
 
 def _print_factors(result: warp_plate.Result, console: Console) -> None:

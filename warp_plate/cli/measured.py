@@ -54,8 +54,8 @@ def measured(
     record = output.json_value(_as_json(str(scene), found))
     draw = partial(draw_measured, found)
     others = {path: partial(write_wav, signal) for path, signal in found.waveforms(target).items()}
-    written = output.write_measurements(target, record, lambda _, *paths: draw(*paths), files.pictures, others)
-    output.report(files.json, lambda: record, partial(_print, str(scene), found), written=written)
+    write = partial(output.write_measurements, target, record, lambda _, *paths: draw(*paths), files.pictures, others)
+    output.report(files.json, lambda: record, partial(_print, str(scene), found), write=write)
 
 
 def answers_measured(

@@ -69,8 +69,8 @@ def fit(
             write_report, title=title, show=show, draw=partial(_draw, fitted), appendix=fitted.scene.to_toml()
         )
         saves[report] = page
-    written = output.write_files(saves, partial(_draw, fitted, target) if files.pictures else None)
-    output.report(files.json, _fit_as_json, _print_fit, scene, fitted, written=written)
+    write = partial(output.write_files, saves, partial(_draw, fitted, target) if files.pictures else None)
+    output.report(files.json, _fit_as_json, _print_fit, scene, fitted, write=write)
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
@@ -176,14 +176,14 @@ def verify(
     check_report(report, force)
     loaded = load_result(result)
     verified = compare_velocities(loaded, data, case)
-    written = None
+    write = None
     if report is not None:
         title = f"Verification of {loaded.scene.title or result} by {data.name}"
         show = partial(_print_verified, verified)
         draw = partial(_draw_verified, verified, loaded.case_scene(loaded.select_cases([verified.case])[verified.case]))
         save = partial(write_report, title=title, show=show, draw=draw, appendix=loaded.scene.to_toml())
-        written = output.write_files({report: save}, None)
-    output.report(json, _verified_as_json, _print_verified, verified, written=written)
+        write = partial(output.write_files, {report: save}, None)
+    output.report(json, _verified_as_json, _print_verified, verified, write=write)
 
 
 def _draw_verified(verified: Verification, scene: Scene, path: Path) -> output.Drawn:

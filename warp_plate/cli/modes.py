@@ -51,16 +51,19 @@ def modes(
     with output.scene_errors(scene):
         natural = continuous_modes(loaded, count)
     errors = errors_of_frequencies(linear_part(loaded), natural.frequencies)
-    written: output.Drawn = [], None
-    if files.pictures:
+
+    def write() -> output.Drawn:
+        if not files.pictures:
+            return [], None
         postpone_garbage()
         from warp_plate.viz.plots.frame import save_plots
         from warp_plate.viz.plots.modes import draw_modes
 
         colours = options.ColourChoice(colormap).chosen()
         draw = partial(draw_modes, loaded, natural.frequencies, natural.shapes, colours=colours)
-        written = files.check_drawn(target, save_plots(draw, target, [target.suffix]))
-    output.report(files.json, _as_json, _print, scene, loaded, natural, errors, left_out, written=written)
+        return files.check_drawn(target, save_plots(draw, target, [target.suffix]))
+
+    output.report(files.json, _as_json, _print, scene, loaded, natural, errors, left_out, write=write)
 
 
 def _as_json(

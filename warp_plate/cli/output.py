@@ -99,23 +99,31 @@ def report(
     as_json: Callable[..., Mapping[str, object]],
     show: Callable[..., object],
     *results: Any,
-    written: Drawn | None = None,
+    write: Callable[[], Drawn] | None = None,
 ) -> None:
-    """Print the answer of a command as one JSON object, or as text and tables.
+    """Write the files of a command, and print its answer as one JSON object, or as text and tables.
 
-    Files are written before, so that Ctrl-C no longer ends the command.
+    Files are written first, so that Ctrl-C no longer ends the command. If they cannot be, the answer is printed
+    nonetheless, lest it be lost.
 
     Args:
         as_json: Function of the results that returns the JSON object, to which "files" are added. Numbers that are not
             finite become null.
         show: Function of the results and a console that prints text and tables.
-        written: The files written, and why pictures are missing.
+        write: Function that writes the files; it returns them, and why pictures are missing.
+
+    Raises:
+        SceneError: Files cannot be written.
     """
-    files, missing = written or ([], None)
+    try:
+        files, missing = ([], None) if write is None else write()
+    except SceneError:
+        report(json, as_json, show, *results)
+        raise
     if files:
         ignore_interrupts()
     if json:
-        print(dumps(json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
+        print(dumps(json_value({**as_json(*results), **({} if write is None else {"files": files})}), indent=2))
     else:
         show(*results, console())
         for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):

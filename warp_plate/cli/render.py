@@ -183,7 +183,7 @@ def render(
         raise SceneError(str(problem)) from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
-    output.report(json, lambda: {"result": result}, lambda _: None, written=(files, None))
+    output.report(json, lambda: {"result": result}, lambda _: None, write=lambda: (files, None))
 
 
 def frames_around(result: Result, time: float | None, shown: FrameOptions) -> FrameOptions:

@@ -1,6 +1,7 @@
 """``warp-plate simulate``: one plate under one drive, with its tables and files."""
 
 from dataclasses import dataclass
+from functools import partial
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -52,8 +53,8 @@ def simulate(
             show(done, total, f"{done:.2g} node-steps")
 
         result = warp_plate.simulate(loaded, source=scene, drive=drive, progress=on_progress, **vars(run))
-    written = output.write_result(result, target, files.pictures, chosen)
-    output.report(files.json, _as_json, _print, result, written=written)
+    write = partial(output.write_result, result, target, files.pictures, chosen)
+    output.report(files.json, _as_json, _print, result, write=write)
 
 
 def _as_json(result: warp_plate.Result) -> dict[str, object]:

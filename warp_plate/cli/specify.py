@@ -58,8 +58,8 @@ def specify(
     run = f"Run it by: warp-plate simulate {best.name} --path modal"
     head = toml_comment(f"Found by: warp-plate specify {scene}", run)
     others = {best: partial(write_atomically, (head + answer.driven_scene().to_toml()).encode())}
-    written = output.write_measurements(target, record, lambda _, *paths: draw(*paths), files.pictures, others)
-    output.report(files.json, lambda: record, partial(_print, scene, answer), written=written)
+    write = partial(output.write_measurements, target, record, lambda _, *paths: draw(*paths), files.pictures, others)
+    output.report(files.json, lambda: record, partial(_print, scene, answer), write=write)
 
 
 def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:

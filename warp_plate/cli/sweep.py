@@ -100,8 +100,8 @@ def sweep(
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool)
         draw = partial(save_plots, partial(draw_sweep, result, colormap=colormap), target)
         save = partial(save_finished, result, file=file, force=files.force)
-        written = output.write_files({target: save}, draw if files.pictures else None)
-    output.report(files.json, _as_json, _print, result, written=written)
+        write = partial(output.write_files, {target: save}, draw if files.pictures else None)
+        output.report(files.json, _as_json, _print, result, write=write)
 
 
 def _as_json(result: Sweep) -> dict[str, object]:
