@@ -90,7 +90,17 @@ class StripPlan:
     warps: int  # Warps of the block
     registers: int  # Most registers per thread
     loads_in_registers: bool  # Else they are read from the cache
-    squares_shared: bool = False  # The sums of rate² are in shared memory, else in registers
+    shared_rows: int = 0  # Rows of a strip that are in shared memory: first of its sums of rate², then of its rates
+
+    @property
+    def shared_squares(self):
+        """Rows of sums of rate² in shared memory: the last ones of a strip."""
+        return min(self.shared_rows, self.rows)
+
+    @property
+    def shared_rates(self):
+        """Rows of rates in shared memory: the last ones of a strip."""
+        return self.shared_rows - self.shared_squares
 
     @property
     def latency(self):
@@ -101,16 +111,16 @@ class StripPlan:
         return self.rows * max(4, self.columns * -(-self.warps // QUARTERS))
 
     @property
-    def fields(self):
-        """Fields of the strip in registers: displacement and rate, sums and both loads."""
-        return 2 + (not self.squares_shared) + 2 * self.loads_in_registers
+    def rows_in_registers(self):
+        """Rows of displacement, rate and sums, and of both loads, in registers."""
+        return (3 + 2 * self.loads_in_registers) * self.rows - self.shared_rows
 
 
 def plan_strips(rows, columns, warps, loads_in_registers=True, squares_shared=False):
     """Return the plan of a block of at most so many warps, whether or not it fits."""
     strip = -(-rows // warps)
     used = -(-rows // strip)
-    return StripPlan(columns, strip, used, most_registers(used), loads_in_registers, squares_shared)
+    return StripPlan(columns, strip, used, most_registers(used), loads_in_registers, strip * squares_shared)
 
 
 def plan_few(nx, ny):
@@ -133,6 +143,13 @@ def strip_plans(order, nx, ny, real, shared_bytes):
             for choice, squares_shared, in_registers in product((EVEN, UNEVEN), (False, True), (True, False))
             for warps in choice
         ]
+        # Where all this is too much, as many rows of rates as needed are in shared memory as well.
+        for warps in (*EVEN, *UNEVEN):
+            plan = plan_strips(rows, columns, warps, False)
+            room = (plan.registers - overhead) // (words * columns) - temporaries
+            shared_rows = max(plan.rows, plan.rows_in_registers - room)
+            if shared_rows <= 2 * plan.rows:
+                choices.append((replace(plan, shared_rows=shared_rows), 0))
     else:  # taps of both passes are temporaries too
         rows, columns, border, temporaries, overhead = ny, -(-nx // LANES), BORDER, 17, 30
         choices = [
@@ -145,9 +162,8 @@ def strip_plans(order, nx, ny, real, shared_bytes):
         few = plan.rows <= 1
         if order == 4:
             few = plan.warps > 1 and (plan.rows <= BORDER or (plan.warps - 1) * plan.rows > ny - BORDER)
-        needed = words * columns * (plan.fields * plan.rows + temporaries) + overhead
-        squares = plan.rows * plan.warps if plan.squares_shared else 0
-        shared = 4 * words * columns * LANES * (2 * 2 * border * (plan.warps + 2) + squares)
+        needed = words * columns * (plan.rows_in_registers + temporaries) + overhead
+        shared = 4 * words * columns * LANES * (2 * 2 * border * (plan.warps + 2) + plan.shared_rows * plan.warps)
         # The bits of a word say which rows are loaded.
         if not few and plan.rows < LANES and needed + spare <= plan.registers and shared <= shared_bytes:
             yield plan

@@ -78,14 +78,17 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     # A buffer has 2·border rows for each strip. Strips 0 and warps + 1 are below and above the plate: zeros.
     line = columns * LANES
     buffer = (warps + 2) * 2 * border * line
-    squares_in_registers, squares_in_shared = summed and not plan.squares_shared, summed and plan.squares_shared
-    shared_size = (2 * buffer if exchanged else 1) + (rows * columns * threads if squares_in_shared else 0)
-    squares_at = shared_size - rows * columns * threads
+    # Rows of rates and of sums in registers. The rows above these are in shared memory, behind the buffers: the
+    # number of row j, column c of a thread is at rates_at or squares_at + (j·columns + c)·threads + thread.
+    own_rates, own_squares = rows - plan.shared_rates, rows - plan.shared_squares
+    plane, buffers = columns * threads, 2 * buffer if exchanged else 1
+    rates_at, squares_at = buffers - own_rates * plane, buffers + (plan.shared_rates - own_squares) * plane
+    shared_size = buffers + (plan.shared_rates + summed * plan.shared_squares) * plane
     Row = wp.types.vector(length=columns, dtype=real)
     Displacements = wp.types.matrix(shape=(rows + 2 * around, columns), dtype=real)
     Curvatures = wp.types.matrix(shape=(rows + 4, columns), dtype=real)  # row j of the strip is row j + 2
-    Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
-    Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
+    Rates = wp.types.matrix(shape=(max(own_rates, 1), columns), dtype=real)
+    Squares = wp.types.matrix(shape=(own_squares, columns) if summed and own_squares else (1, 1), dtype=real)
     Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_in_registers else (1, 1), dtype=real)
     LoadRow = wp.types.matrix(shape=(2, columns), dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
@@ -165,7 +168,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
 
         # Columns and rows beyond the strip hold zeros: no taps, no stiffness, no load.
         strip_u = Displacements()
-        strip_rate = Strip()
+        strip_rate = Rates()
         squared = Squares()
         cosine = Loads()
         sine = Loads()
@@ -194,13 +197,18 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                 for c in range(wp.static(columns)):
                     if in_row(lane, c):
                         strip_u[j + around, c] = global_u[wp.static(j * stride + c)]
-                        strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
+                        if wp.static(j < own_rates):
+                            strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
+                        else:
+                            shared[wp.static(rates_at + (j * columns + c) * threads) + thread] = global_rate[
+                                wp.static(j * stride + c)
+                            ]
                         if wp.static(plan.loads_in_registers):
                             cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
                             sine[j, c] = global_quadrature[wp.static(j * stride + c)]
                         if wp.static(summed):
                             if written and x0 + c >= first_x and x0 + c < end_x:
-                                if wp.static(squares_in_registers):
+                                if wp.static(j < own_squares):
                                     squared[j, c] = global_squares[wp.static(j * stride + c)]
                                 else:
                                     slot = wp.static(squares_at + (j * columns + c) * threads) + thread
@@ -337,12 +345,21 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                             global_in_phase, global_quadrature, wp.static((r - ahead + 1) * stride), loaded_next, lane
                         )
                     for c in range(wp.static(columns)):
-                        stepped = update(strip_rate[r - ahead, c], biharmonic[c], load[c], row_stiffness[c], p)
-                        strip_rate[r - ahead, c] = stepped
+                        rate_slot = wp.static(rates_at + ((r - ahead) * columns + c) * threads) + thread
+                        rate = real(0.0)
+                        if wp.static(r - ahead < own_rates):
+                            rate = strip_rate[r - ahead, c]
+                        if wp.static(r - ahead >= own_rates):
+                            rate = shared[rate_slot]
+                        stepped = update(rate, biharmonic[c], load[c], row_stiffness[c], p)
+                        if wp.static(r - ahead < own_rates):
+                            strip_rate[r - ahead, c] = stepped
+                        else:
+                            shared[rate_slot] = stepped
                         strip_u[r - ahead + around, c] = strip_u[r - ahead + around, c] + stepped
-                        if wp.static(squares_in_registers):
+                        if wp.static(summed and r - ahead < own_squares):
                             squared[r - ahead, c] = squared[r - ahead, c] + stepped * stepped
-                        if wp.static(squares_in_shared):
+                        if wp.static(summed and r - ahead >= own_squares):
                             slot = wp.static(squares_at + ((r - ahead) * columns + c) * threads) + thread
                             shared[slot] = shared[slot] + stepped * stepped
 
@@ -351,10 +368,14 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                 for c in range(wp.static(columns)):
                     if in_row(lane, c) and x0 + c >= first_x and x0 + c < end_x:
                         global_new_u[wp.static(j * stride + c)] = strip_u[j + around, c]
-                        global_new_rate[wp.static(j * stride + c)] = strip_rate[j, c]
-                        if wp.static(squares_in_registers):
+                        if wp.static(j < own_rates):
+                            global_new_rate[wp.static(j * stride + c)] = strip_rate[j, c]
+                        else:
+                            slot = wp.static(rates_at + (j * columns + c) * threads) + thread
+                            global_new_rate[wp.static(j * stride + c)] = shared[slot]
+                        if wp.static(summed and j < own_squares):
                             global_squares[wp.static(j * stride + c)] = squared[j, c]
-                        if wp.static(squares_in_shared):
+                        if wp.static(summed and j >= own_squares):
                             slot = wp.static(squares_at + (j * columns + c) * threads) + thread
                             global_squares[wp.static(j * stride + c)] = shared[slot]
 

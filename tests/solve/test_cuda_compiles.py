@@ -27,8 +27,9 @@ from warp_plate.kernels.update import KernelEffects
 # Shared memory of a block that kernels may take on sm_90.
 SHARED_BYTES = 224 * 1024
 KERNELS = Path(__file__).parents[2] / "kernels"
-# Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
-SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
+# Plates (nx, ny, stride) for a warp, for a block, in float64 for a block with sums and with rates too in shared memory,
+# and for no multiprocessor.
+SMALL, LARGE, LARGEST, FULL, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (105, 97, 112), (257, 129, 272)
 ALONE = ("retarded", "in_plane", "springs", "membrane", "attached", "coils", "travelling", "outline")
 EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, branches=2, **dict.fromkeys(ALONE, True))
 FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
@@ -82,7 +83,8 @@ def cuda_factories(effects, real):
     if order == 2:
         for summed in (False, True):
             yield resident_lanes.make_run_steps, effects, real, SMALL[1], 0b1100110000, summed
-    sizes = {2: ((SMALL, True), (LARGEST, True), (LARGE, False), (LARGE, True)), 4: ((SMALL, False), (LARGE, True))}
+    few = ((SMALL, True), (LARGEST, True), (FULL, True), (LARGE, False), (LARGE, True))
+    sizes = {2: few, 4: ((SMALL, False), (LARGE, True))}
     for (nx, ny, stride), summed in sizes[order]:
         plan = next(strip_plans(order, nx, ny, real, SHARED_BYTES))
         if order == 2 and (nx, ny, stride) == SMALL:

@@ -1,6 +1,7 @@
 """The kernels of CUDA for plain plates, and their launches, give the numbers of the CPU where Python runs them."""
 
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,9 +19,11 @@ def lanes(specialized):
     return cuda._lanes_path(specialized)
 
 
-def strips(rows, columns, warps, **options):
+def strips(rows, columns, warps, shared_rates=0, **options):
     def path(specialized):
-        return cuda._blocks_path(specialized, cuda._whole(specialized), plan_strips(rows, columns, warps, **options))
+        plan = plan_strips(rows, columns, warps, **options)
+        plan = replace(plan, shared_rows=plan.shared_rows + shared_rates)
+        return cuda._blocks_path(specialized, cuda._whole(specialized), plan)
 
     return path
 
@@ -36,6 +39,9 @@ CASES = {
     "strips": (2, (37, 15), 2, 8, strips(13, 2, 2)),
     "strips, numbers off the registers": (
         2, (40, 14), 2, 8, strips(12, 2, 2, loads_in_registers=False, squares_shared=True),
+    ),
+    "strips, a part of the rates off the registers": (
+        2, (40, 14), 2, 8, strips(12, 2, 2, 4, loads_in_registers=False, squares_shared=True),
     ),
     "one strip of fourth order": (4, (15, 13), 2, 8, strips(13, 1, 1)),
     "strips of fourth order": (4, (37, 15), 2, 8, strips(15, 2, 2, loads_in_registers=False, squares_shared=True)),
