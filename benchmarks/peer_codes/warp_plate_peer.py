@@ -38,6 +38,8 @@ def make(problem: Problem, threads: int) -> Run:
         compiled.advance(state, plates, 0, problem.steps)
         compiled.sums_to_host(state, plates)
 
+    whole(None, state, problem.plates)  # kernels are compiled by the first run, and cannot be while a run is recorded
+
     def run() -> NDArray[np.float64]:
         if problem.device == "cuda" and compiled.path == "resident":
             repeat(specialized.device, whole, state, problem.plates)
