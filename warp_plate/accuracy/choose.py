@@ -46,8 +46,9 @@ from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import count_unit_drives, measure_response
 from warp_plate.solve.solver import PlateSolver
 
-# Functions of modes along each side that are tried, relative to the default, and the nominal time of a solution after
-# which no higher density is [s]. Nor is one if the error would have to fall by more than this power of its last fall.
+# Functions of modes along each side that are tried, relative to the default, and the nominal time of a solution beyond
+# which no higher density is tried [s]. Nor is one if the error would have to fall by more than this power of its last
+# fall.
 MODAL_DENSITIES, DENSER_SECONDS, STEEPEST_FALL = (1.0, 1.5, 2.2), 4.0, 3
 # Uncertainty of the reference relative to the accuracy asked for, and the time that it may take [s].
 REFERENCE_SHARE, REFERENCE_SECONDS = 0.15, 30.0

@@ -115,7 +115,7 @@ class WorkerPool:
 
 
 def _kill_workers(cluster: SpecCluster) -> None:
-    """Kill the workers that were started here: one that is stopped ends by nothing else, and Python waits for it."""
+    """Kill the workers that were started here: a suspended one ends by SIGKILL alone, and Python waits for it."""
     for nanny in list(cluster.workers.values()):
         if number := nanny.pid:
             with suppress(OSError):  # it has just ended

@@ -1,8 +1,9 @@
 """Changes of what a panel can do with the numbers of its scene, from slopes by its matrices.
 
 The matrices are linear in the coefficients of the plate's terms and in its fields. What two scenes differ in is
-therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number; where layers
-move, fields over another rule are. Only where the outline or a patch changes are the matrices themselves differenced.
+therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number. Where layers
+move, the fields are computed again at the points of another integration rule. Only where the outline or a patch changes
+are the matrices themselves differenced.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ STEP, SMOOTH_STEP = 1e-4, 2e-5
 
 @dataclass(frozen=True)
 class PanelSlopes:
-    """Slopes of a number by a panel."""
+    """Derivatives of one quantity by a panel's matrices and by its mass."""
 
     matrices: PlateMatrices  # by its matrices
     by_mass: float = 0.0  # by its mass [1/kg], beside those by matrices

@@ -24,7 +24,7 @@ from warp_plate.solve.response import largest_ratio
 
 # Form of each quantity: of root mean squares over the mass of the target, of others, and of efforts.
 AMPLITUDES = {"velocity": "target", "displacement": "displacement", "acceleration": "acceleration"}
-FORMS = {**AMPLITUDES, "energy_target": "target", "sound": "sound", "power": "power"}
+FORM_OF_QUANTITY = {**AMPLITUDES, "energy_target": "target", "sound": "sound", "power": "power"}
 LOWERED = ("sound", "power")
 # Part of the largest effort of combinations of drives that is none, as its slopes are hidden by rounding; and part of
 # the largest motion that is rounding.
@@ -56,7 +56,7 @@ def judge(design: Design, forms: PlateForms) -> Judged:
             value = float(localization_factor(quadratic_forms(both, phasors[None]))[0])
         plate = quadratic_forms(both, phasors[None])[0, 0]
         return Judged(value, phasors, {"plate": -value / plate, "target": 1 / plate})
-    name, phasors = FORMS[objective], scene_phasors(forms.scene)
+    name, phasors = FORM_OF_QUANTITY[objective], scene_phasors(forms.scene)
     if effort is not None:
         of_effort = np.eye(len(forms[name])) if effort == "drive" else forms[effort]
         if _is_unlimited(of_effort, forms[name]):
@@ -96,7 +96,7 @@ def limits(design: Design, forms: PlateForms, margin: float = 0.0) -> Iterator[t
     given, phasors = design.limits, scene_phasors(forms.scene)
     for key, quantity in LEAST.items():
         if (least := getattr(given, key)) is not None:
-            name = FORMS[quantity]
+            name = FORM_OF_QUANTITY[quantity]
             size = _of(forms[name], phasors)
             if quantity in AMPLITUDES:
                 least, mass = least * math.sqrt(1 + margin), target_mass(forms)

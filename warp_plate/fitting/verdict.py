@@ -35,7 +35,7 @@ NOTABLE_DECAY = 0.03
 LEFT, LEFT_WITH_NOISE, NOTABLE = 0.4, 0.6, 0.005
 # Sensors whose orders are tried, and the part of the error by which a cause for single sensors must be better.
 MOST_ORDERED, SINGLE = 4, 0.7
-# Mean MAC below which mirrored points are tried, the rise that names them, and what is poor in any case.
+# Mean MAC below which mirrored points are tried, its rise at which they are reported, and what is poor in any case.
 LEAST_MAC, NOTABLE_MAC, POOR_MAC = 0.8, 0.1, 0.5
 # Shear correction factor (Mindlin, J. Appl. Mech. 18, 1951), and the error of thin-plate theory that is remarked.
 SHEAR, THICK = 5 / 6, 0.02

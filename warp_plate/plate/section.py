@@ -5,7 +5,7 @@ plate's middle, D = (J − S²/A)/(1 − ν²). Edges of layers cut the nodes' c
 Across a cut the moment and the curvature along it are the same on both sides, and so a cell that is cut once, across x,
 has, with the brackets for means over it by length,
 
-    Cxx = 1/⟨1/Dxx⟩,   Cxy = Cxx ⟨Dxy/Dxx⟩,   Cyy = ⟨Dyy − Dxy²/Dxx⟩ + Cxy²/Cxx
+    Cxx = 1/⟨1/Dxx⟩,   Cxy = Cxx ⟨D1/Dxx⟩,   Cyy = ⟨Dyy − D1²/Dxx⟩ + Cxy²/Cxx
 
 (a laminate of rank one: G. W. Milton, The Theory of Composites, 2002, chapter 9). That is second order wherever the
 cut lies. Cells around a layer's corner are cut both ways: first across x and then across y, and the other way about,
@@ -37,7 +37,7 @@ from warp_plate.scene.target import PlateRegion
 
 # Keys of ``[plate]`` that maps of factors multiply.
 VARIED = ("thickness", "young_modulus", "density")
-# Dxx, Dxy = D1, Dyy of a plate.
+# Dxx, D1, Dyy of a plate.
 Rigidities = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -45,8 +45,8 @@ Rigidities = tuple[np.ndarray, np.ndarray, np.ndarray]
 class Section:
     """Fields over the nodes."""
 
-    bend_xx: np.ndarray  # (ny, nx) Dxx [N·m]: Mx = Dxx u_xx + Dxy u_yy
-    bend_xy: np.ndarray  # (ny, nx) Dxy = D1 [N·m]
+    bend_xx: np.ndarray  # (ny, nx) Dxx [N·m]: Mx = Dxx u_xx + D1 u_yy
+    bend_xy: np.ndarray  # (ny, nx) D1 [N·m]
     bend_yy: np.ndarray  # (ny, nx) Dyy [N·m]
     twist: np.ndarray  # (ny, nx) torsional rigidity Dxy of Mxy = 2 Dxy u_xy [N·m]
     mass: np.ndarray  # (ny, nx) mass per area [kg/m²]

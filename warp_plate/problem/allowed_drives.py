@@ -36,7 +36,7 @@ class AllowedDrives:
 
     @property
     def limits_ratios(self) -> bool:
-        """True if some drives have no allowed multiple, so that the limits restrict ratios of energies too."""
+        """True if some drives are forbidden at every scale, so that the limits restrict ratios of energies too."""
         return self.equal or bool((self.lower > 0).any()) or len(self.with_fixed_phases) > 1
 
     @property

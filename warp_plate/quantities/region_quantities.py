@@ -1,4 +1,4 @@
-"""Quantities of the motion of the plate's regions: one list for objectives, limits, bounds, cases, sweeps and tables.
+"""Quantities of the motion of the plate's regions: one list for objectives, bounds, cases, sweeps and tables.
 
 All follow from energies of regions, which are quadratic forms of the drives in a linear scene. With E, A and M a
 region's energy [J], area [m²] and mass [kg], t the target and r the rest of the plate:
@@ -53,8 +53,8 @@ class Quantity:
     evaluate: Callable[[np.ndarray, RegionSizes], np.ndarray]
     energy_of: Literal["velocity", "displacement"] = "velocity"  # motion whose mean squares give these energies
     is_ratio: bool = False  # true if a common factor of all drives does not change it in a linear scene
-    # what it grows with, so that a bound of that bounds it: the localization factor, the energy of the target, the
-    # sound power, or the ratio of these; None if it grows with none. Without this and ``largest``, no bound is claimed
+    # the bounded quantity of which it is an increasing function: the localization factor, the energy of the target, the
+    # sound power, or the ratio of these; None if there is none. Without this and ``largest``, no bound is claimed
     bounded_by: Literal["localization", "energy", "sound", "quietness"] | None = None
     largest: float | None = None  # upper bound by its definition, if no other bounds it
     # function like ``evaluate`` for the rest of the plate; None if the rest has no such quantity

@@ -250,7 +250,7 @@ class SceneTables(Table):
             raise SceneError(f'{key}: {what}cannot be stepped in time; use the evaluator "modal"{instead}')
 
     def _unstepped(self) -> Iterator[tuple[str, str, str]]:
-        """Yield the keys that have no time steps, what of each, and what else to do about it."""
+        """Yield the keys that have no time steps, which part of each, and what else to do about it."""
         if (key := self.lossy_inductance_key) is not None:
             yield key, "a lossy inductance ", ", or write eddy_branches in place of eddy_resistance and eddy_reactance"
         if self.search.tone_key is not None:
