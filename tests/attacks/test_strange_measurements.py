@@ -31,10 +31,11 @@ def refusal_of_responses(path):
     ("content", "message"),
     [
         ({"frequency": [10 + 5j, 20, 30], "response": [1, 2, 3j]}, "frequency is complex; only response may be"),
-        ({"frequency": [10, 20], "response": [1, 2], "coherence": [1j, 1]}, "coherence is complex; only response"),
+        ({"frequency": [10, 20], "response": [1j, 2], "coherence": [1j, 1]}, "coherence is complex; only response"),
+        ({"frequency": [10, 20, 30], "response": [1, 2, 3]}, "response is real; write complex numbers"),
         ({"frequency": [10, 20], "response": h5py.SoftLink("/frequency")}, "response is a link"),
         ({"frequency": h5py.Empty("f8"), "response": [1, 2, 3]}, "frequency is not an array of numbers"),
-        ({"frequency": [], "response": np.zeros((0, 3))}, "has 0 responses; the scene has 1 tables"),
+        ({"frequency": [], "response": np.zeros((0, 3), complex)}, "has 0 responses; the scene has 1 tables"),
     ],
 )
 def test_odd_arrays(content, message, tmp_path):
@@ -92,8 +93,8 @@ def test_scans_that_are_too_large(tmp_path):
 
 def test_half_precision_is_read_without_warnings(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["frequency"], file["response"] = np.array([[10, 20, 30], [1, 2, 3]], np.float16)
-    np.testing.assert_array_equal(read_responses(tmp_path / "a.h5", 1).responses, [[1, 2, 3]])
+        file["frequency"], file["real"], file["imaginary"] = np.array([[10, 20, 30], [1, 2, 3], [0, 1, 2]], np.float16)
+    np.testing.assert_array_equal(read_responses(tmp_path / "a.h5", 1).responses, [[1, 2 + 1j, 3 + 2j]])
 
 
 def test_arrays_of_mat_files_are_unpacked_to_a_limit(tmp_path, monkeypatch):
@@ -111,10 +112,10 @@ def test_signalling_nan_is_read_without_warnings(tmp_path):
     values = np.ones(4, np.float32)
     values.view(np.uint32)[1] = 0x7F800001
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["response"] = values
+        file["frequency"] = values
     content = io.BytesIO()
     scipy.io.wavfile.write(content, 1000, values)
-    for read in (read_arrays(tmp_path / "a.h5", ["response"])["response"], *wav_channels(content.getvalue())[0]):
+    for read in (read_arrays(tmp_path / "a.h5", ["frequency"])["frequency"], *wav_channels(content.getvalue())[0]):
         assert np.isnan(read).tolist() == [False, True, False, False]
 
 

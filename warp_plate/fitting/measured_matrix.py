@@ -147,8 +147,6 @@ def _arrays(path: Path, table: Measured) -> MeasuredMatrix:
             given = arrays["real"] + 1j * arrays["imaginary"]
         if given is None or "frequency" not in arrays:
             raise ValueError(f"needs frequency and response, or impulse and rate; has {', '.join(arrays)}")
-        if given.dtype.kind != "c":
-            raise ValueError("response is real; write complex numbers, which have the phase too")
         frequency = arrays["frequency"].ravel()
         responses = _ordered("response", given, len(places), len(frequency))
         coherence = arrays.get("coherence")

@@ -169,7 +169,7 @@ def read_array(
 
 @np.errstate(invalid="ignore")  # of signalling NaN, which are NaN once converted
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the arrays with these names that a MAT or HDF5 file has, float64, or complex128 if it is ``response``.
+    """Return the arrays with these names that a MAT or HDF5 file has, float64, but complex128 of ``response``.
 
     Args:
         path: File that ends in .mat, .h5, .hdf5 or .nc.
@@ -177,7 +177,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
     Raises:
         ValueError: The file is damaged or none of that kind, has none of the names, or an array is too large or not
-            made of numbers.
+            made of numbers, which are complex only in ``response``.
     """
     kind, read = ("MAT", _mat) if path.suffix.lower() in MAT else ("HDF5", _hdf5)
     try:
@@ -193,6 +193,8 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
             raise ValueError(f"{name} is not an array of numbers")
         if name != "response" and values.dtype.kind == "c":
             raise ValueError(f"{name} is complex; only response may be")
+        if name == "response" and values.dtype.kind != "c":
+            raise ValueError("response is real; write complex numbers, which have the phase too")
     return {name: values.astype(complex if values.dtype.kind == "c" else float) for name, values in arrays.items()}
 
 
