@@ -201,7 +201,12 @@ SHEETS = {
         (svg("<rect width='5em' height='9'/>"), ".svg", "rect: width = '5em' is not read"),
         (svg("<g transform='rotate(45deg)'><path d='M0 0'/></g>"), ".svg", r"g: transform = 'rotate\(45deg\)' is not"),
         (svg("", "width='1mm' viewBox='a b'"), ".svg", "its viewBox = 'a b' is not four numbers"),
-        (svg("", "width='0mm' height='0mm' viewBox='0 0 9 9'"), ".svg", "state no unit of length"),
+        (svg("", "width='9mm' viewBox='0 0 9 0'"), ".svg", "its viewBox = '0 0 9 0' is not four numbers, the last two"),
+        (svg("", "width='9mm' viewBox='0 0 9'"), ".svg", "its viewBox = '0 0 9' is not four numbers"),
+        (svg("", "width='0mm' height='0mm' viewBox='0 0 9 9'"), ".svg", "its width = '0mm': must be above 0, in mm"),
+        (svg("", "width='9mm' height='0mm' viewBox='0 0 9 9'"), ".svg", "its height = '0mm': must be above 0, in mm"),
+        (svg("", "width='9mm' height='5em' viewBox='0 0 9 9'"), ".svg", "its height = '5em': must be above 0, in mm"),
+        (svg('<path d="M0 0 H V5 z"/>'), ".svg", "path: d = 'M0 0 H V5 z' is not read"),
         (
             svg("", "width='9mm' height='18mm' viewBox='0 0 9 9' preserveAspectRatio='xMidYMid slice'"),
             ".svg",

@@ -144,11 +144,18 @@ def _svg_unit(size: Any, unit: float | None) -> float:
     """Return metres in a user unit, from the attributes of the root or as given."""
     number = r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*"
     sides = [re.fullmatch(rf"{number}([a-zA-Z%]*)\s*", size.get(side, "")) for side in ("width", "height")]
+    for name, side in zip(("width", "height"), sides, strict=True):
+        if size.get(name) and not (side and float(side[1]) > 0 and side[2] in ("", "px", "%", *SVG_UNITS)):
+            rule = f"must be above 0, in {', '.join(SVG_UNITS)}, px or %"
+            raise ValueError(f"its {name} = {size[name][:LONGEST_NAME]!r}: {rule}")
     units = [SVG_UNITS.get(side[2]) if side else None for side in sides]
     try:
         box = [float(part) for part in re.split(r"[\s,]+", size.get("viewBox", "").strip()) if part]
+        if box and not (len(box) == 4 and all(0 < side < FARTHEST for side in box[2:])):
+            raise ValueError
     except ValueError:
-        raise ValueError(f"its viewBox = {size['viewBox'][:LONGEST_NAME]!r} is not four numbers") from None
+        rule = "is not four numbers, the last two above 0"
+        raise ValueError(f"its viewBox = {size['viewBox'][:LONGEST_NAME]!r} {rule}") from None
     stated = None
     if any(units):
         ratios = [PIXEL] * (not box)

@@ -64,7 +64,7 @@ def make_plain(svg: Any, root: ElementTree.Element) -> None:
                 readable = key not in ATTRIBUTES.keys() - size or re.fullmatch(ATTRIBUTES[key], value) is not None
                 if readable and key == "d":
                     svg.Path(value)
-            except (ValueError, ArithmeticError):
+            except (ValueError, ArithmeticError, TypeError):
                 readable = False
             if not readable:
                 shown = " ".join(value[:LONGEST_NAME].split())
