@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -71,3 +72,10 @@ def test_points_of_a_sweep_of_no_known_status(way, forged_folder, command):
     forge(Path("sweep.h5"), lambda file: set_dataset(file, "status", ARRAYS[way](file["status"][()])))
     answer = command(*LINES["sweep.h5"][0].split())
     assert "sweep.h5: damaged: status must hold 0, 1 or 2 for each point" in error_of(answer)
+
+
+@pytest.mark.slow
+def test_other_points_of_a_sweep_that_are_whole_numbers(forged_folder, command):
+    forge(Path("sweep.h5"), lambda file: set_dataset(file, "drive.frequency", np.array([100, 200])))
+    answer = command(*LINES["sweep.h5"][0].split())
+    assert "other points (2 points, drive.frequency from 100 to 200)" in error_of(answer)

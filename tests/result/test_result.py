@@ -159,6 +159,7 @@ def replace_member(parent, name, value):
         ("times", {"shape": (10**12,), "dtype": float}, "more than the file holds"),
         ("times", {"shape": (2,), "dtype": float, "external": [("secret.raw", 0, 16)]}, "kept in another file"),
         ("times", {"shape": (2,), "dtype": float, "chunks": (1,)}, "times is in chunks"),
+        ("cases/best/real", np.ones(4, np.float16), "cases/best/real has numbers of 16 bits, which this program does"),
         ("robust", np.ones(2), "robust is not a group"), ("times", h5py.SoftLink("/trace_times"), "times is a link"),
         *((name, h5py.ExternalLink("secret.h5", "data"), f"{name} is a link") for name in LINKED),
     ],

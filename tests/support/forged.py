@@ -13,6 +13,8 @@ ARRAYS = {
     "one nan": lambda values: np.where(np.arange(values.size).reshape(values.shape) == 0, np.nan, values),
     "inf": lambda values: np.full(values.shape, np.inf),
     "huge": lambda values: np.full(values.shape, 1e300),
+    "half": lambda values: values.astype(np.float16),
+    "quadruple": lambda values: values.astype(np.longdouble),
     "negative": lambda values: -1.0 - np.abs(values),
     "empty": lambda values: np.zeros((0,) * max(values.ndim, 1)),
     "longer": lambda values: np.zeros(tuple(length + 1 for length in values.shape) or (2,)),

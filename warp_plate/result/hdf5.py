@@ -155,6 +155,8 @@ def read_array(
     dataset, path = member(group, name, h5py.Dataset), full_path(group, name)
     if (h5py.check_string_dtype(dataset.dtype) is None) if text else (dataset.dtype.kind not in "fiu"):
         raise SceneError(f"{path} is not a dataset of {'text' if text else 'real numbers'}")
+    if dataset.dtype.kind == "f" and dataset.dtype.itemsize not in (4, 8):
+        raise SceneError(f"{path} has numbers of {8 * dataset.dtype.itemsize} bits, which this program does not write")
     if dataset.chunks is not None:
         raise SceneError(f"{path} is in chunks, which this program does not write")
     if dataset.is_virtual or dataset.external:

@@ -154,7 +154,7 @@ def _parse_texts(key: str, text: str, folder: Path | None) -> VariedKey:
 
 def _range_text(values: np.ndarray) -> str:
     """Return the least and the largest number, or some texts."""
-    if values.dtype.kind == "f":
+    if values.dtype.kind != "U":
         return f"from {values.min():g} to {values.max():g}"
     texts = list(dict.fromkeys(values.tolist()))
     return " or ".join(texts) if len(texts) <= MOST_NAMED else f"of {len(texts)} values"
