@@ -63,15 +63,27 @@ class DeviceToneMatrices:
         and rectangles (plates or 1, M, 4) x0, x1, y0, y1 [m], which are the scene's for piezo patches."""
         frequency, areas = np.asarray(frequency, dtype=float), np.asarray(areas, dtype=float)
         plates, actuators = frequency.shape
-        matrices = wp.empty((plates, len(self._regions), 2 * actuators, 2 * actuators), wp.float64, self._device)
+        matrices = np.empty((plates, len(self._regions), 2 * actuators, 2 * actuators))
         block = max(1, min(plates, self._block_numbers // (2 * actuators * self._modes)))
         work, tones, patches = self._workspace(block * actuators), *map(self._put, (frequency, areas))
+        written = wp.empty((block, *matrices.shape[1:]), wp.float64, self._device)
+        # While the device computes a block, the host takes the one before, which has a buffer of its own.
+        pinned, before = self._device.is_cuda, None
+        buffers = [wp.empty(written.shape, wp.float64, "cpu", pinned=pinned) for _ in range(2)]
         for first in range(0, plates, block):
             rows = slice(first, min(first + block, plates))
             if first == 0 or len(areas) > 1:
                 distinct = self._write_forces(patches[rows] if len(areas) > 1 else patches, work)
-            self._write_matrices(tones[rows], distinct, work, matrices[rows])
-        return np.asarray(matrices.numpy())
+            self._write_matrices(tones[rows], distinct, work, written)
+            buffers.reverse()
+            wp.copy(buffers[0], written)
+            event = wp.get_stream(self._device).record_event() if pinned else None
+            if before is not None:
+                _take(*before)
+            before = matrices[rows], buffers[0], event
+        if before is not None:
+            _take(*before)
+        return matrices
 
     def _workspace(self, columns: int) -> dict[str, wp.array]:
         """Return matrices with a number of columns, padded with zeros to whole tiles."""
@@ -147,6 +159,13 @@ class DeviceToneMatrices:
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
         load_kernel(kernel, self._device)
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self._device)
+
+
+def _take(target: np.ndarray, source: wp.array, event: wp.Event | None) -> None:
+    """Copy as many matrices as the target has, after an event."""
+    if event is not None:
+        wp.synchronize_event(event)
+    target[...] = source.numpy()[: len(target)]
 
 
 def _fill_up(count: int, tile: int) -> int:
