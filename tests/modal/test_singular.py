@@ -141,16 +141,31 @@ def test_a_slanted_line_makes_two_triangles_of_a_square():
             [((0.15, 0.4), (0.47, 0.4)), ((0.5, 0.4), (0.85, 0.4))],
             [71.5546319, 101.163445, 103.871577, 128.066190, 150.511467, 171.561098],
         ),
+        (
+            0.8,
+            0.0,
+            [((0.1, 0.35), (0.6, 0.35)), ((0.5, 0.38), (0.9, 0.38))],
+            [79.8899880, 101.092339, 115.697518, 136.841792, 152.118860, 183.946536],
+        ),
+        (
+            0.8,
+            0.4,
+            [((0.0, 0.35), (1.0, 0.35)), ((0.45, 0.4),)],
+            [78.5317881, 96.1900647, 116.644554, 140.903531, 149.488501, 186.912374],
+        ),
     ],
 )
-def test_lines_that_end_on_the_plate(height, angle, lines, exact):
-    """Of supported rectangles with a side of 1. The forces of the lines, second derivatives of √(1 - t²) Uₙ(t) with
-    1/√(1 - t²) and t/√(1 - t²), do no work by what they move, as Fourier's series of 40 000 waves along them."""
+def test_lines_that_end_on_the_plate_or_pass_a_place(height, angle, lines, exact):
+    """Of supported rectangles with a side of 1; a point is written as a line of one place.
+
+    The forces of the lines, second derivatives of √(1 - t²) Uₙ(t) with 1/√(1 - t²) and t/√(1 - t²), do no work by what
+    they move, as Fourier's series of at least 10 000 waves along them; lines are parted beside other places."""
     turn = 0.2 * np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     corners = np.array([(0, 0), (1, 0), (1, height), (0, height)]) @ turn
     least = corners.min(axis=0)
     x, y = corners.mean(axis=0) - least
-    supports = [{"line": (np.array(line) @ turn - least).tolist()} for line in lines]
+    places = [(np.array(line) @ turn - least).tolist() for line in lines]
+    supports = [{"line": ends} if len(ends) == 2 else {"point": ends[0]} for ends in places]
     scene = outlined(
         {"polygon": (corners - least).tolist()},
         "supported",

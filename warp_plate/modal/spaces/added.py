@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 
@@ -37,6 +38,8 @@ CORNER_FUNCTIONS, NOTCH_FUNCTIONS, HOLE_FUNCTIONS, MOST_FUNCTIONS, MOST_WITH_SLO
 
 # Lines whose angle has a smaller sine do not cross.
 PARALLEL = 1e-6
+# Places nearer to a line than this part of its length part it.
+BESIDE = 0.2
 
 
 def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
@@ -50,7 +53,8 @@ def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
 
 @lru_cache
 def parted(supports: tuple[Support, ...]) -> tuple[tuple[int, Support], ...]:
-    """Return supports with their indices, lines parted where others meet them: their forces are singular there."""
+    """Return supports with their indices, lines parted where others meet them, for their forces are singular there, and
+    beside points and ends of others, where they change at short distances."""
     parts = []
     for index, support in enumerate(supports):
         if support.line is None:
@@ -58,12 +62,25 @@ def parted(supports: tuple[Support, ...]) -> tuple[tuple[int, Support], ...]:
             continue
         start, end = np.array(support.line)
         slack, places = ON_EDGE / math.dist(start, end), [0.0]
-        meetings = (_meeting(support.line, other.line) for other in supports if other.line and other is not support)
+        others = [other for other in supports if other is not support]
+        meetings = (_meeting(support.line, other.line) for other in others if other.line)
         places += [at for at in sorted(filter(None, meetings)) if slack < at < 1 - slack]
-        apart = [low for low, high in pairwise([*places, 1.0]) if high - low > slack]
+        beside = [place for other in others for place in other.ends]
+        for at, away in sorted((_beside(support.line, place) for place in beside), key=itemgetter(1)):
+            if slack < away < BESIDE and all(abs(at - other) > away / 2 for other in (*places, 1.0)):
+                places.append(at)
+        apart = [low for low, high in pairwise([*sorted(places), 1.0]) if high - low > slack]
         points = [tuple((start + at * (end - start)).tolist()) for at in (*apart, 1.0)]
         parts += [(index, support.model_copy(update={"line": ends})) for ends in pairwise(points)]
     return tuple(parts)
+
+
+def _beside(line: tuple[Point, Point], place: Point) -> tuple[float, float]:
+    """Return where along a line, from 0 to 1, a place is, and its distance from there, both as parts of the length; the
+    distance is infinite beyond the ends."""
+    start, end = (complex(*point) for point in line)
+    at = (complex(*place) - start) / (end - start)
+    return at.real, abs(at.imag) if 0 < at.real < 1 else math.inf
 
 
 def _meeting(line: tuple[Point, Point], other: tuple[Point, Point]) -> float | None:

@@ -112,7 +112,7 @@ class Chords:
         """Intervals of the segments along x, and of the ordinates along y."""
         return self.along[0].interval(self.x.mean(axis=1)), self.along[1].interval(self.ordinates)
 
-    @property
+    @cached_property
     def _columns(self) -> np.ndarray:
         """(segments, degree + 1) indices of the splines along x that are not zero on the segments."""
         return self.along[0].first[self._intervals[0]][:, None] + np.arange(self.along[0].splines.degree + 1)

@@ -34,7 +34,7 @@ PART_INTERVALS, FURTHER, WIDE = 6, 2, 0.6 * np.pi
 EIGHTHS = np.linspace(0, 1, 9)
 # Eigenvalues of the energy below the first part of the largest are those of functions that depend on the others, and
 # singular values of the moments below the second part those of moments that do.
-RANK, MOMENTS = 1e-13, 1e-4
+RANK, MOMENTS = 1e-13, 3e-4
 # Points of Gauss's rule between crossings of knots along lines that end on the plate, beyond the splines' degree.
 TIP_POINTS = 6
 # Points in which the intervals along a piece are counted, and part of an interval that rounding may add to them.

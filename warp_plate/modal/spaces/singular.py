@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeGuard
 
 import numpy as np
@@ -246,13 +247,16 @@ def along_line(ends: np.ndarray, inner: Sequence[bool], count: int, outline: Out
         z = place / half
         root = np.sqrt(z - 1) * np.sqrt(z + 1)
         root = np.where(np.abs(root) < TINY, TINY, root)
-        zeta, power = z + root, (z + root) ** -n
-        log = np.log(zeta)
-        f = np.vstack([power, z * log - root, (z * root - log) / 2])
-        slope = np.vstack([-n * power / root, log, root])
-        bend = np.vstack([(n**2 * power + n * power * z / root) / root**2, 1 / root, z / root])
-        powers = ((n == 1) * log - zeta ** (1 - n) / below + zeta ** -(n + 1) / (n + 1)) / 2
-        integral = np.vstack([powers, ((2 * z**2 + 1) * log - 3 * z * root) / 4, (root**3 / 3 - z * log + root) / 2])
+        less, inverse, log = 1 / root, 1 / (z + root), np.log(z + root)
+        power = np.ones((count + 2, z.size), dtype=complex)
+        for before, after in pairwise(power):
+            np.multiply(before, inverse, out=after)
+        integral, f, slope, bend = np.empty((4, count + 2, z.size), dtype=complex)
+        f[:-2], f[-2:] = power[1:-1], (z * log - root, (z * root - log) / 2)
+        slope[:-2], slope[-2:] = -n * (f[:-2] * less), (log, root)
+        bend[:-2], bend[-2:] = slope[:-2] * (less * (-n - z * less)), (less, z * less)
+        integral[:-2] = ((n == 1) * log - power[:-2] / below + power[2:] / (n + 1)) / 2
+        integral[-2:] = ((2 * z**2 + 1) * log - 3 * z * root) / 4, (root**3 / 3 - z * log + root) / 2
         y = z.imag
         value = integral.real + y * f.imag
         slopes = (f.real + y * slope.imag) / half, y * slope.real / half
