@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 
 from support.grid_modes import natural_modes
 from support.scenes import MATERIAL, refused, scene_of
@@ -15,6 +16,7 @@ from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.assemble import make_galerkin, make_space
 from warp_plate.modal.modes import errors_of_frequencies, solve_modes
 from warp_plate.modal.solver import ModalSolver
+from warp_plate.modal.spaces.edge_moments import null_space
 from warp_plate.scene.target import Target
 
 DISC = {"disc": (0.1, 0.1, 0.1)}
@@ -328,3 +330,12 @@ def test_soft_supports_are_springs():
     sprung = solve_modes(outlined(DISC, "clamped", supports=[{"point": point, "stiffness": stiffness}]), 0.0, 6)
     shift = (sprung.angular_frequencies[0] ** 2 - plain.angular_frequencies[0] ** 2) / stiffness
     assert shift == pytest.approx(plain.at_points([point])[0, 0] ** 2, rel=1e-3)
+
+
+def test_more_conditions_than_functions_allow_the_same_motions():
+    chance = np.random.default_rng(0)
+    rows = chance.normal(size=(60, 30)) @ scipy.linalg.orth(chance.normal(size=(40, 30))).T
+    some, allowed = null_space(rows, None), null_space(rows[:30], None)
+    assert some.shape == (40, 10)
+    assert some.T @ some == pytest.approx(np.eye(10), abs=1e-12)
+    assert some @ some.T == pytest.approx(allowed @ allowed.T, abs=1e-12)
