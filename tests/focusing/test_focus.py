@@ -143,6 +143,25 @@ def test_quiet_waveforms_keep_the_rest_within_its_bound():
     assert others[contrasts > least].max() < moved[0]
 
 
+@pytest.mark.parametrize("density", [1e3, 1e5])
+def test_the_rest_is_what_the_disc_leaves_of_the_plate_and_its_layers(density):
+    """A disc that reaches off the plate over its lower edge and covers half of a layer, against the field at the moment
+    on a raster."""
+    point, radius, layer = (0.09, 0.02), 0.06, {"area": (0.05, 0.15, 0.0, 0.05), "young_modulus": 0.0}
+    rest = {"contrast": 10.0, "radius": radius}
+    table = {**TABLE, "points": [point], "rate": 4000, "energy": 0.02, "rest": rest}
+    effects = {"damping": {"viscous": 20.0}, "layers": [{**layer, "thickness": 1e-4, "density": density}]}
+    found = focus(scene_of(effects=effects, focus=table, modal_density=1.0)).methods["quiet"]
+    assert found.limits == ("energy, rest",)
+    (field,) = found.fields
+    rows, columns = field.shape
+    x, y = 0.2 * (np.arange(columns) + 0.5) / columns, 0.2 * (np.arange(rows)[:, None] + 0.5) / rows
+    mass = 0.5 + 1e-4 * density * ((x > 0.05) & (x < 0.15) & (y < 0.05))
+    mass *= np.hypot(x - point[0], y - point[1]) > radius
+    contrast = 20 * math.log10(abs(found.peak[0]) / math.sqrt((mass * field**2).sum() / mass.sum()))
+    assert contrast == pytest.approx(10.0, abs=0.1)
+
+
 @pytest.mark.slow
 def test_focusing_glass_has_the_published_area():
     """20 mm², within 20 %; the optimum moves the points further, and the inverse filter's focus is smaller."""

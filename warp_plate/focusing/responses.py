@@ -181,8 +181,8 @@ def _multiplier(values: np.ndarray, parts: np.ndarray, square: float, ratio: flo
 
 def _root_mean_square(plate: ModalPlate, disc: tuple[float, float, float]) -> np.ndarray:
     """Return the root S of the matrix of the mean square, by mass, outside a disc x, y, radius [m]."""
-    inside = plate.kinetic_matrix(Target(disc=disc), plate.scene.plate.box)
-    outside, total = plate.kinetic_matrix() - inside, plate.space.plate_mass
-    mass = total * (1 - math.pi * disc[2] ** 2 / math.prod(plate.scene.plate.size))
+    inside = Target(disc=disc)
+    outside = plate.kinetic_matrix() - plate.kinetic_matrix(inside, plate.scene.plate.box)
+    mass = plate.space.plate_mass - plate.space.region_mass(inside)
     squares, vectors = scipy.linalg.eigh(outside)
     return np.asarray((vectors * np.sqrt(np.maximum(squares, 0) / mass)) @ vectors.T)
