@@ -25,6 +25,7 @@ POINT = (0.3, -0.1, 0.8)
 def test_the_a_weighting_is_that_of_the_standard():
     exact = np.array([1000 * 10 ** (round(10 * math.log10(f / 1000)) / 10) for f in A_WEIGHTING])
     np.testing.assert_allclose(a_weighting(exact), list(A_WEIGHTING.values()), atol=0.06)
+    assert a_weighting(np.array([1000.0])) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_small_plate_is_a_point_source():

@@ -5,7 +5,7 @@ import numpy as np
 # References of levels of sound power [W] and of the root mean square of the pressure [Pa].
 POWER_REFERENCE, PRESSURE_REFERENCE = 1e-12, 20e-6
 # Corner frequencies of the A-weighting [Hz] of IEC 61672-1, and its value at 1 kHz before it is set to 0 dB.
-CORNERS, AT_1_KHZ = (20.598997, 107.65265, 737.86223, 12194.217), -1.999995
+CORNERS, AT_1_KHZ = (20.598997, 107.65265, 737.86223, 12194.217), -1.999656
 
 
 def a_weighting(frequencies: np.ndarray) -> np.ndarray:
