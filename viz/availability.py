@@ -73,25 +73,11 @@ def missing_window() -> str | None:
     return None if try_window(X_WINDOW) == (True, X_WINDOW) else f"the display {display} cannot be drawn on"
 
 
-def omit_docstrings() -> None:
-    """Let Matplotlib make no docstrings of the properties of its classes, which take 0.2 of the 0.5 s of its import."""
-    with suppress(ImportError):
-        from matplotlib import artist
-
-        artist.kwdoc = lambda _: ""
-        artist.Artist._update_set_signature_and_docstring = lambda: None
-
-
-def prepare(docstrings: bool = True) -> None:
-    """Start the trial drawing and import the drawing libraries in a thread, beside other work.
-
-    Without ``docstrings``, see :func:`omit_docstrings`.
-    """
+def prepare() -> None:
+    """Start the trial drawing and import the drawing libraries in a thread, beside other work."""
 
     def import_libraries() -> None:
         with suppress(Exception):  # drawing raises it again
-            if not docstrings:
-                omit_docstrings()
             if missing_renderer() is None:
                 importlib.import_module("pyvista")
             importlib.import_module("matplotlib.figure")

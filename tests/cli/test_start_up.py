@@ -39,12 +39,3 @@ def test_import_budget(arguments, allowed, most, tmp_path):
     count, *modules = answer.split()
     assert {*HEAVY.split(), *PARTS.split()} & set(modules) <= allowed
     assert int(count) <= most
-
-
-@pytest.mark.parametrize("command", ["modes", pytest.param("localize", marks=pytest.mark.slow)])
-def test_drawing_makes_no_docstrings_of_matplotlib(command, tmp_path):
-    code = RUN + "from matplotlib.lines import Line2D\nprint(Line2D.set.__doc__, Line2D.__init__.__doc__)"
-    answer = subprocess.check_output([sys.executable, "-c", code, command, "paper"], cwd=tmp_path, text=True)
-    assert list(tmp_path.glob("paper-*.png"))
-    assert answer.splitlines()[1].startswith("None Create")
-    assert "zorder: float" not in answer

@@ -214,6 +214,15 @@ def test_huge_texts_are_refused(text, why):
     assert why in line
 
 
+@pytest.mark.parametrize(("stiff", "soft"), [("Dy", "Dx"), ("Dx", "Dy"), ("Dxy", "Dx")])
+def test_a_rigidity_that_hides_another_is_named(stiff, soft):
+    """Such a plate with free edges was refused for springs that it has not."""
+    rows = {"Dx": 2.0, "Dy": 3.0 if stiff != "Dx" else 2.0, "D1": 0.5, "Dxy": 4.0, stiff: 1e20}
+    table = "".join(f"{key} = {value}\n" for key, value in rows.items())
+    why = f"effects.orthotropic.{stiff}: 1e+20 N·m hides {soft} = 2 N·m in rounding; write at most 2e+09"
+    assert why in refused(Scene.parse, f"{PAPER}\n[effects.orthotropic]\n{table}", "panel.toml")
+
+
 def test_truncated_and_corrupted_files():
     """Cut at every thirtieth length, and with every fifteenth byte changed: a valid scene, or one line."""
     content = PAPER.encode()

@@ -30,14 +30,6 @@ def postpone_garbage() -> None:
     atexit.register(gc.freeze)
 
 
-def prepare_drawing() -> None:
-    """Postpone garbage, and leave out docstrings of Matplotlib."""
-    from warp_plate.viz.availability import omit_docstrings
-
-    postpone_garbage()
-    omit_docstrings()
-
-
 def collect_garbage() -> None:
     """Let Python look for garbage from now on, but not among the objects of the start."""
     if gc.get_threshold() != WORKING:

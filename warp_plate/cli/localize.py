@@ -130,7 +130,7 @@ def localize(
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
     if files.pictures:
-        viz.prepare(docstrings=False)  # while the search runs
+        viz.prepare()  # while the search runs
     with (
         output.resumable(file, "localize"),
         workers.open_pool() as pool,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from warp_plate.cli import options, output, prepare_drawing
+from warp_plate.cli import options, output, postpone_garbage
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,7 +55,7 @@ def modes(
     def write() -> output.Drawn:
         if not files.pictures:
             return [], None
-        prepare_drawing()
+        postpone_garbage()
         from warp_plate.viz.plots.frame import save_plots
         from warp_plate.viz.plots.modes import draw_modes
 

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warp_plate.cli import collect_garbage, prepare_drawing
+from warp_plate.cli import collect_garbage, postpone_garbage
 from warp_plate.cli import log as log
 from warp_plate.interrupts import deferred_interrupts, ignore_interrupts
 from warp_plate.scene.errors import SceneError, printable
@@ -315,8 +315,7 @@ def write_files(saves: Mapping[Path, Callable[[Path], object]], draw: Callable[[
             for path, save in saves.items():
                 save(path)
                 files.append(path)
-        if draw is not None:
-            prepare_drawing()
+        postpone_garbage()
         drawn, missing = ([], None) if draw is None else draw()
     except KeyboardInterrupt:
         if not files or len(files) < len(saves):

@@ -45,7 +45,7 @@ def simulate(
     target = files.target(scene, "-simulate.h5", holds="a result of simulate")
     loaded, scene = changes.load(scene)
     if files.pictures:
-        viz.prepare(docstrings=False)  # while the plate is simulated
+        viz.prepare()  # while the plate is simulated
     last = "estimating the error" if run.estimate else ""
     with output.scene_errors(scene), output.progress_bar("simulating", not files.json, loaded, last) as show:
 

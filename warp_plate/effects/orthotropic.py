@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 from warp_plate.effects.effect import Effect, Setting
 from warp_plate.scene.fields import Moderate, Positive, Unit
 
+# Largest ratio of two rigidities. Beyond it rounding gives rigid motions stiffness and hides the smaller one.
+APART = 1e9
+
 
 class Orthotropic(Effect):
     """An orthotropic plate: Mx = Dx u_xx + D1 u_yy, My = D1 u_xx + Dy u_yy, Mxy = 2 Dxy u_xy.
@@ -33,6 +36,14 @@ class Orthotropic(Effect):
         if self.Dx * self.Dy * (1 - 1e-9) <= self.D1**2:
             root = (self.Dx * self.Dy) ** 0.5
             raise ValueError(f"D1: {self.D1:g} N·m gives negative energies; |D1| must be below √(Dx Dy) = {root:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _comparable(self) -> Orthotropic:
+        (least, soft), *_, (largest, stiff) = sorted((getattr(self, key), key) for key in ("Dx", "Dy", "Dxy"))
+        if largest > APART * least:
+            hides = f"{largest:g} N·m hides {soft} = {least:g} N·m in rounding"
+            raise ValueError(f"{stiff}: {hides}; write at most {APART * least:g}")
         return self
 
     @property
