@@ -1,8 +1,12 @@
 """What workers get: blocks of plates between their limits, sent as their numbers."""
 
 import pickle
+import subprocess
+import sys
 import threading
 from concurrent.futures import Future
+from contextlib import suppress
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -50,6 +54,25 @@ def test_a_worker_keeps_a_solver_of_its_own_device_and_threads(scene, monkeypatc
     assert make_solver(pickle.loads(pickle.dumps(spec))) is solver
     monkeypatch.setenv("WARP_PLATE_THREADS", "3")
     assert make_solver(SolverSpec.of(scene((9, 9)), "cuda:99", "auto")).specialized.threads == 3
+
+
+def test_workers_that_hang_are_killed_until_all_have_ended(monkeypatch):
+    """Dask may start another in place of one that was killed, until it learns that it is to end."""
+    monkeypatch.setattr("warp_plate.cluster.pool.END_SECONDS", 0.1)
+    nanny, statuses = SimpleNamespace(pid=None), []
+
+    def close():
+        for _ in range(3):
+            with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as worker:
+                nanny.pid = worker.pid
+                with suppress(subprocess.TimeoutExpired):
+                    worker.wait(20)
+                statuses.append(worker.poll())
+                worker.kill()
+
+    cluster = SimpleNamespace(workers={0: nanny}, close=close)
+    WorkerPool(Mock(), "--devices cpu", cluster=cluster).close()
+    assert None not in statuses
 
 
 def test_a_minute_passes_until_no_worker_is_left(monkeypatch):

@@ -100,10 +100,12 @@ class WorkerPool:
         with postponed_interrupts():
             self._client.close(timeout=1)
             if self._cluster is not None:
-                killer = threading.Timer(END_SECONDS, _kill_workers, [self._cluster])
-                killer.start()
-                self._cluster.close()
-                killer.cancel()
+                ended = threading.Event()
+                threading.Thread(target=_kill_workers, args=[self._cluster, ended], daemon=True).start()
+                try:
+                    self._cluster.close()
+                finally:
+                    ended.set()
 
     def _count_threads(self) -> int:
         client = self._client
@@ -114,12 +116,14 @@ class WorkerPool:
         return 0
 
 
-def _kill_workers(cluster: SpecCluster) -> None:
-    """Kill the workers that were started here: a suspended one ends by SIGKILL alone, and Python waits for it."""
-    for nanny in list(cluster.workers.values()):
-        if number := nanny.pid:
-            with suppress(OSError):  # it has just ended
-                os.kill(number, getattr(signal, "SIGKILL", signal.SIGTERM))  # Windows kills by the latter
+def _kill_workers(cluster: SpecCluster, ended: threading.Event) -> None:
+    """Kill the workers that were started here until the cluster has ended: a suspended one ends by SIGKILL alone, and
+    Python waits for it. Dask may start another in its place, which may hang too."""
+    while not ended.wait(END_SECONDS):
+        for nanny in list(cluster.workers.values()):
+            if number := nanny.pid:
+                with suppress(OSError):  # it has just ended
+                    os.kill(number, getattr(signal, "SIGKILL", signal.SIGTERM))  # Windows kills by the latter
 
 
 def _run_on_worker(function: Callable[[Any], Any], argument: Any) -> Any:
