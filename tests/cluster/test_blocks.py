@@ -70,7 +70,7 @@ def test_workers_that_hang_are_killed_until_all_have_ended(monkeypatch):
                 statuses.append(worker.poll())
                 worker.kill()
 
-    cluster = SimpleNamespace(workers={0: nanny}, close=close)
+    cluster = SimpleNamespace(_created=[nanny], close=close)
     WorkerPool(Mock(), "--devices cpu", cluster=cluster).close()
     assert None not in statuses
 

@@ -120,7 +120,7 @@ def _kill_workers(cluster: SpecCluster, ended: threading.Event) -> None:
     """Kill the workers that were started here until the cluster has ended: a suspended one ends by SIGKILL alone, and
     Python waits for it. Dask may start another in its place, which may hang too."""
     while not ended.wait(END_SECONDS):
-        for nanny in list(cluster.workers.values()):
+        for nanny in list(cluster._created):  # those that have not joined yet are not among its workers
             if number := nanny.pid:
                 with suppress(OSError):  # it has just ended
                     os.kill(number, getattr(signal, "SIGKILL", signal.SIGTERM))  # Windows kills by the latter
