@@ -86,6 +86,12 @@ def test_scenes_without_a_specification_and_files_of_others_are_refused(command,
     assert "would be overwritten" in error_of(command("specify", "console", "--out", str(other)))
 
 
+def test_a_level_that_takes_drives_beyond_all_numbers_is_named(command, tmp_path):
+    line = ("specify", "touch-panel", "--set", "specification={level={displacement=1e30}}", "--no-pictures")
+    error = error_of(command(*line, "--out", tmp_path / "a.json"))
+    assert "specification.level: actuators[0].magnitude = " in error
+
+
 def test_the_worst_of_many_cases_are_printed():
     level = {"nominal_level": 1.0, "nominal_db": -9.0, "robust_level": 1.0, "best_db": -50.0, "met": True}
     many = [Scatter(changes={"gasket": 1.1}, robust_db=-float(number), **level) for number in range(40)]

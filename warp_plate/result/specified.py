@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.plate.designs import scene_with
-from warp_plate.scene.errors import printable
+from warp_plate.scene.errors import printable, under
 from warp_plate.scene.model import Scene
 
 
@@ -131,7 +131,8 @@ class SpecifiedDrive:
         """Return the scene with the drive and its frequency; with tolerances, the one drive for all cases."""
         frequency, drive = (self.robust_frequency, self.robust_drive) if self.scatter else (self.frequency, self.drive)
         scene = self.scene.replace("drive.frequency", frequency)
-        return scene_with(scene, np.abs(drive) / self.scene.unit_drives, -np.angle(drive))
+        with under("specification.level"):  # of a size that takes drives beyond all numbers of scenes
+            return scene_with(scene, np.abs(drive) / self.scene.unit_drives, -np.angle(drive))
 
     @property
     def verdict(self) -> str:
