@@ -46,8 +46,12 @@ def main(arguments: list[str] | None = None) -> None:
     except SceneError as error:
         parser.error(str(error))
     record = asdict(report)
-    written = output.write_measurements(target, record, draw_bench, given.pictures)
-    output.report(given.json, lambda: record, lambda console: print_report(report, console), written=written)
+    output.report(
+        given.json,
+        lambda: record,
+        lambda console: print_report(report, console),
+        write=lambda: output.write_measurements(target, record, draw_bench, given.pictures),
+    )
 
 
 def make_parser() -> argparse.ArgumentParser:
