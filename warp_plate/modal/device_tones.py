@@ -67,14 +67,17 @@ class DeviceToneMatrices:
         block = max(1, min(plates, self._block_numbers // (2 * actuators * self._modes)))
         work, tones, patches = self._workspace(block * actuators), *map(self._put, (frequency, areas))
         written = wp.empty((block, *matrices.shape[1:]), wp.float64, self._device)
-        # While the device computes a block, the host takes the one before, which has a buffer of its own.
+        # While the device computes a block, the host takes the one before, which has a buffer of its own. Pinned memory
+        # takes a millisecond to allocate: too long for a single block.
         pinned, before = self._device.is_cuda, None
-        buffers = [wp.empty(written.shape, wp.float64, "cpu", pinned=pinned) for _ in range(2)]
+        buffers = [wp.empty(written.shape, wp.float64, "cpu", pinned=pinned) for _ in range(2 * (block < plates))]
         for first in range(0, plates, block):
             rows = slice(first, min(first + block, plates))
             if first == 0 or len(areas) > 1:
                 distinct = self._write_forces(patches[rows] if len(areas) > 1 else patches, work)
             self._write_matrices(tones[rows], distinct, work, written)
+            if block == plates:
+                return np.asarray(written.numpy())
             buffers.reverse()
             wp.copy(buffers[0], written)
             event = wp.get_stream(self._device).record_event() if pinned else None
