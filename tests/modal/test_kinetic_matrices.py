@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from support.scenes import MATERIAL, scene_of
+from warp_plate.modal.assemble import make_galerkin, make_space
 from warp_plate.modal.modes import solve_modes
 from warp_plate.scene.target import Target
 
@@ -108,3 +109,20 @@ def test_disc_across_a_layer(layered_plate, disc):
             expected = expected + (values * weights * mass) @ values.T
     error = np.abs(layered_plate.kinetic_matrix(Target(disc=disc))[:MODES, :MODES] - expected).max()
     assert error < 1e-8 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("key", "expected"), [("young_modulus", 1.0), ("density", 1 + 0.1 / SIZE[0])])
+def test_mass_of_a_disc_on_a_mapped_plate(key, expected):
+    scene = scene_of(size=SIZE, edges=("free",) * 4, effects={"variation": {key: [[1.0, 2.0]]}})
+    matrix = make_space(scene, (6, 6)).region_matrix(Target(disc=(0.1, 0.08, 0.05)))  # the functions' sum is 1
+    mass = MATERIAL["density"] * MATERIAL["thickness"] * np.pi * 0.05**2
+    assert np.isclose(matrix.sum(), expected * mass, rtol=1e-9)
+
+
+@pytest.mark.parametrize("effects", [{}, {"layers": [LAYER], "variation": {"thickness": [[1.0, 1.2], [1.1, 0.9]]}}])
+def test_bending_energies_are_those_of_the_matrix(random, effects):
+    scene = scene_of(size=SIZE, edges=("clamped", "free", "supported", "free"), effects=effects)
+    galerkin = make_galerkin(scene, make_space(scene, (25, 18)))
+    vectors = random.normal(size=(galerkin.bending.shape[0], 5))
+    expected = vectors.T @ (galerkin.bending.toarray() @ vectors)
+    assert np.allclose(galerkin.space.bending_energies(vectors), expected, rtol=0, atol=1e-12 * np.abs(expected).max())

@@ -90,7 +90,8 @@ def _solve(
     few = galerkin.space.sparse and wanted * SPARSE < unknowns
     held = LANCZOS_VECTORS * wanted if few else DENSE_MATRICES * unknowns
     refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
-    stiffness, mass = (Matrix(basis.T @ matrix @ basis) for matrix in (galerkin.stiffness, galerkin.mass))
+    rows = Matrix(basis.T)  # whose products copy no matrix into another format
+    stiffness, mass = (Matrix(rows @ matrix @ basis) for matrix in (galerkin.stiffness, galerkin.mass))
     try:
         if few:
             squares, vectors = lowest_by_lanczos(stiffness, mass, wanted, scale)
@@ -159,11 +160,16 @@ def bending_energies(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarra
     """Return (modes, modes) Φᵀ B Φ [1/s²] of all modes Φ (unknowns, modes) and their ω²; ``improve`` as for these."""
     if not galerkin.support.count_nonzero():
         return np.diag(np.maximum(squares, 0.0))
-    dense = galerkin.bending.nnz > DENSE * galerkin.bending.shape[0] ** 2
-    energies = np.asarray(vectors.T @ ((galerkin.bending.toarray() if dense else galerkin.bending) @ vectors))
+    energies = projected(galerkin.bending, vectors)
     if improve:
         energies[:LOWEST, :LOWEST] = _from_curvatures(galerkin, vectors[:, :LOWEST])
     return energies
+
+
+def projected(matrix: Matrix, vectors: np.ndarray) -> np.ndarray:
+    """Return (modes, modes) Φᵀ matrix Φ of vectors Φ (unknowns, modes)."""
+    dense = matrix.nnz > DENSE * matrix.shape[0] ** 2
+    return np.asarray(vectors.T @ ((matrix.toarray() if dense else matrix) @ vectors))
 
 
 def _from_curvatures(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:

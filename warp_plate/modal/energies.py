@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from warp_plate.modal.device_tones import DeviceToneMatrices
 
-# Numbers in a block of designs that are computed at once.
-AMPLITUDES_AT_ONCE = 2**20
+# Numbers in a block of designs that are computed at once, which caches hold.
+AMPLITUDES_AT_ONCE = 2**16
 
 
 class ModalEnergies:

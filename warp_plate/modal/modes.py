@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
 from warp_plate.modal.coils import Coils
-from warp_plate.modal.eigenproblem import bending_energies, solve_eigenproblem
+from warp_plate.modal.eigenproblem import bending_energies, projected, solve_eigenproblem
 from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.added import ties_banks
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
@@ -228,7 +228,7 @@ class ModalPlate:
             attached = self.attached_motions * np.sqrt([attachment.mass for attachment in self.galerkin.masses])
             return np.eye(len(self.frequencies)) - attached @ attached.T
         matrix = self.galerkin.region_matrix(self.scene.plate.box if isinstance(region, str) else region, within)
-        return np.asarray(self.vectors.T @ (matrix @ self.vectors))
+        return projected(matrix, self.vectors)
 
     def respond(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the (frequencies, modes, loads) complex modal amplitudes q, u = Re Σ φ q exp(iωt), under forces that
@@ -368,7 +368,7 @@ def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
     factor = galerkin.damping.trace() / galerkin.mass.trace()
     if abs(galerkin.damping - factor * galerkin.mass).max() <= RELATIVE_ZERO * abs(galerkin.damping).max():
         return np.diag(np.full(vectors.shape[1], factor))
-    return np.asarray(vectors.T @ (galerkin.damping @ vectors))
+    return projected(galerkin.damping, vectors)
 
 
 def _check_size(scene: Scene, key: str, below: float, most: int, intervals: tuple[int, int]) -> None:

@@ -92,6 +92,11 @@ class Laminate:
         return any(layer.area for layer in self.layers) or bool(self.maps)
 
     @property
+    def even_mass(self) -> bool:
+        """True if the mass per area without layers of other shapes is the same at all points."""
+        return not any(layer.area for layer in self.layers) and set(self.maps) <= {"young_modulus"}
+
+    @property
     def shaped_layers(self) -> list[Layer]:
         """Layers other than rectangles along x and y."""
         return [layer for layer in self.layers if layer.area is None]

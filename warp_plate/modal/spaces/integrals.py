@@ -222,8 +222,9 @@ class SplineProducts(FunctionSpace, ABC):
 
     def _density_on(self, rule: Integrals | Chords) -> np.ndarray | float:
         """Return the mass per area [kg/m²] at the points of a rule, a number where it is the same at all."""
-        if not self.laminate.varied:
-            return float(self.integrals.fields()[-1])
+        if self.laminate.even_mass:
+            x, y = self.integrals.points
+            return float(self.integrals.fields_at(x[:1], y[:1])[-1][0, 0])
         return rule.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])[0]
 
     def _section(self, axis: int) -> list[float]:

@@ -127,18 +127,24 @@ def gauss(breaks: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bsplines(knots: np.ndarray, degree: int, x: np.ndarray, derivative: int = 0) -> np.ndarray:
-    """Return (splines, points) values of a derivative at x [m] by the recursion of Cox and de Boor."""
+    """Return (splines, points) values of a derivative at x [m] by the recursion of Cox and de Boor, for the only
+    splines that are not zero there."""
     interval = np.clip(np.searchsorted(knots, x, side="right") - 1, degree, knots.size - degree - 2)
-    values = (np.arange(knots.size - 1)[:, None] == interval).astype(float)
+    below, above = (knots[interval + shift[:, None]] for shift in np.arange(2 * degree).reshape(2, -1) - degree + 1)
+    values = np.ones((1, x.size))
     for order in range(1, degree + 1):
-        widths = (knots[order:] - knots[:-order])[:, None]
-        scaled = np.divide(1, widths, out=np.zeros_like(widths), where=widths > 0)
-        rising, falling = values[:-1] * scaled[:-1], values[1:] * scaled[1:]
+        low, high = below[degree - order :], above[:order]
+        scaled, values = values * (1 / (high - low)), np.zeros((order + 1, x.size))
         if order > degree - derivative:
-            values = order * (rising - falling)
+            values[:-1] -= scaled
+            values[1:] += scaled
+            values *= order
         else:
-            values = (x - knots[: -order - 1, None]) * rising + (knots[order + 1 :, None] - x) * falling
-    return values
+            np.multiply(high - x, scaled, out=values[:-1])
+            values[1:] += (x - low) * scaled
+    splines = np.zeros((knots.size - degree - 1, x.size))
+    splines[interval + np.arange(-degree, 1)[:, None], np.arange(x.size)] = values
+    return splines
 
 
 @lru_cache(PRODUCTS_KEPT)
