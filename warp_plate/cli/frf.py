@@ -98,11 +98,7 @@ def frf(
     ]
     with output.scene_errors(scene, inputs="from", points="at", frequency_range="range", quantity="quantity"):
         response = compute(loaded, sources, points, limits, responses.quantity, baffle=not responses.unbaffled)
-    draw = draw_frequency_response if files.pictures else None
-
-    def write() -> output.Drawn:
-        return files.check_drawn(target, write_and_draw(response, target, formats, WRITERS, draw))
-
+    write = partial(write_and_draw, response, target, formats, WRITERS, draw_frequency_response, files)
     output.report(files.json, _as_json, _print, scene, loaded, response, write=write)
 
 
@@ -137,9 +133,10 @@ def write_and_draw(
     target: Path,
     formats: list[ResponseFormat],
     writers: Writers,
-    draw: Callable[[Any, Path], object] | None,
+    draw: Callable[[Any, Path], object],
+    files: options.FileOptions,
 ) -> output.Drawn:
-    """Write the files of the formats and the picture, if any; return them, and why there is no picture."""
+    """Write the files of the formats and the picture, if wanted; return them, and why there is no picture."""
     from warp_plate.viz.plots.frame import save_plots
 
     saves: dict[Path, Callable[[Path], object]] = {}
@@ -147,8 +144,8 @@ def write_and_draw(
         ending, write = writers[name]
         saves[_path_of(target, ending)] = partial(write, result)
     ending = target.suffix if target.suffix.lower() in PICTURES else ".png"
-    plots = None if draw is None else partial(save_plots, partial(draw, result), target, [ending])
-    return output.write_files(saves, plots)
+    plots = partial(save_plots, partial(draw, result), target, [ending]) if files.pictures else None
+    return files.check_drawn(target, output.write_files(saves, plots))
 
 
 def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, object]:
@@ -273,11 +270,7 @@ def sound(
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene, points="at", frequency_range="range"):
         result = compute(loaded, points, limits, baffle=not sounds.unbaffled)
-    draw = draw_sound if files.pictures else None
-
-    def write() -> output.Drawn:
-        return files.check_drawn(target, write_and_draw(result, target, formats, WRITERS, draw))
-
+    write = partial(write_and_draw, result, target, formats, WRITERS, draw_sound, files)
     output.report(files.json, _sound_as_json, _print_sound, scene, result, write=write)
 
 
