@@ -105,7 +105,8 @@ def test_starts_are_kept_until_the_panel_is_written(command, tmp_path, monkeypat
     ]
     with monkeypatch.context() as full:
         full.setattr("warp_plate.cli.output.write_files", Mock(side_effect=SceneError("a.toml: cannot be written")))
-        status, _, error = command(*line)
+        status, answer, error = command(*line)
+        assert answer
         assert (status, error) == (2, "warp-plate: a.toml: cannot be written\n")
     with monkeypatch.context() as late:
         late.setattr("warp_plate.design", Mock(side_effect=KeyboardInterrupt))

@@ -83,8 +83,9 @@ def test_a_picture_that_out_names_and_no_disk_has_room_for(line, command, write_
     pytest.importorskip("matplotlib")
     write_scene(nodes=(9, 9))
     monkeypatch.setattr(os, "replace", Mock(side_effect=OSError(28, "No space left on device")))
-    status, _, written = command(*line.split(), "--out", "m.png")
+    status, answer, written = command(*line.split(), "--out", "m.png")
     assert (status, written) == (2, "warp-plate: --out m.png: cannot be written: No space left on device\n")
+    assert answer
     assert not Path("m.png").exists()
 
 

@@ -122,8 +122,9 @@ def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, resumabl
     write_scene(resumable.with_tables(search={"particles": 6, "iterations": 3}))
     with monkeypatch.context() as patch:
         patch.setattr("warp_plate.result.model.save_result", full_disk)
-        status, _, err = command(*COMMAND, "--checkpoint-every", "0")
+        status, answer, err = command(*COMMAND, "--checkpoint-every", "0")
     assert status == 2
+    assert answer
     assert "there is a checkpoint after 3 of 3 iterations" in err
     assert err.endswith(f"warp-plate localize --resume {FILE}\n")
     assert command("localize", "--resume", FILE, *QUICK)[0] == 0

@@ -187,7 +187,11 @@ def test_shapes_in_text(tmp_path):
         ("a.mat", {"frequency": [1.0, 2.0], "response": "no"}, "response is not an array of numbers"),
         ("a.mat", {"frequency": [1.0, 2.0], "response": [{"a": 1}, {}]}, "response is not an array of numbers"),
         ("a.mat", {"frequency": scipy.sparse.eye_array(2), "response": np.eye(2)}, "is not an array of numbers"),
-        ("a.mat", {"frequency": [1.0, 2.0], "response": 1j * np.ones((3, 2))}, "has 3 responses; the scene has 1"),
+        (
+            "a.mat",
+            {"frequency": [1.0, 2.0], "response": 1j * np.ones((3, 2))},
+            "has 3 responses; the scene has 1 tables",
+        ),
         ("a.mat", b"MATLAB 5.0 MAT-file" * 20, "cannot be read as a MAT file"),
         ("a.h5", b"\x89HDF\r\n\x1a\n" * 20, "cannot be read as a HDF5 file"),
         ("a.wav", b"RIFF", "not a WAV file"),
